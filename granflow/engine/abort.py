@@ -138,17 +138,63 @@ OVERLAP_MARGIN = 1.4
 increases."""
 
 
-def permitted_change(diagnosis: Diagnosis) -> str:
+def permitted_change(diagnosis: Diagnosis, plan: Plan) -> str:
     """KEY=VALUE for a run that continues before the abort: a limit above the overlap; empty if none is known.
 
-    For an initial overlap, the limit is that of the message.
+    For an initial overlap and an impact, the limit is that of the message.
     """
     if diagnosis.reason != "overlap" or diagnosis.pair is None or diagnosis.pair.overlap >= LARGEST_OVERLAP:
         return ""
     if not diagnosis.begun:
         needed = _limit_for_initial(diagnosis.pair.overlap)
         return f"numerics.max_overlap={needed:g}" if needed <= LARGEST_OVERLAP else ""
-    return f"numerics.max_overlap={min(OVERLAP_MARGIN * diagnosis.pair.overlap, LARGEST_OVERLAP):.2g}"
+    reached = impact_overlap(plan.laws, diagnosis.pair.case, diagnosis.pair.impact_velocity)
+    needed = max(OVERLAP_MARGIN * diagnosis.pair.overlap, _limit_above(reached, plan))
+    return f"numerics.max_overlap={min(needed, LARGEST_OVERLAP):.2g}"
+
+
+LIMIT_RATIO = 1.25
+"""Next limit over a reported overlap: so precisely the largest overlap of a run is known."""
+
+
+def next_limit(diagnosis: Diagnosis, plan: Plan) -> float | None:
+    """Overlap limit with which a run goes on after its overlap limit was exceeded; None if it must not.
+
+    It goes on if the scene gives no limit, with the overlap of contacts that have formed during its steps:
+    not with particles that overlap when they or walls appear, nor with a time step that is too long.
+    """
+    numerics = plan.scene.numerics
+    pair = diagnosis.pair
+    if numerics.max_overlap != "auto" or diagnosis.reason != "overlap" or pair is None:
+        return None
+    if not diagnosis.begun or diagnosis.change is not None or pair.overlap >= numerics.abort_overlap:
+        return None
+    if plan.step.is_given and diagnosis.time_step > pair.stable_step:
+        return None
+    return min(LIMIT_RATIO * max(pair.overlap, numerics.intended_overlap), numerics.abort_overlap)
+
+
+def overlap_warning(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Sentences on an overlap with which a run goes on, see `next_limit`: the contact, its cause and remedy.
+
+    `time`: simulated time [s].
+    """
+    pair = diagnosis.pair
+    assert pair is not None
+    numerics = plan.scene.numerics
+    return (
+        f"{_overlapping(pair, time)}, more than {numerics.intended_overlap:g}: contact forces become less "
+        f"accurate. {_relative_motion(pair)} {overlap_cause(pair, plan)} The run goes on, and stops above "
+        f"{numerics.abort_overlap:g}."
+    )
+
+
+def _overlapping(pair: ContactPair, time: float) -> str:
+    """Clause on the contact and its overlap at `time` [s]."""
+    return (
+        f"{pair.first} at {time:.6g} s overlaps with {pair.second} by {pair.overlap:.3g} times the smaller "
+        "radius"
+    )
 
 
 def _limit_for_initial(overlap: float) -> float:
@@ -159,14 +205,15 @@ def _limit_for_initial(overlap: float) -> float:
 def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Overlap above `numerics.max_overlap`."""
     pair = diagnosis.pair
-    max_overlap = plan.scene.numerics.max_overlap
+    numerics = plan.scene.numerics
+    limit = numerics.intended_overlap
     if pair is None:
-        return f"{diagnosis.body} at {time:.6g} s overlaps by more than {max_overlap:g} of its radius."
-    limit = f"numerics.max_overlap {max_overlap:g}"
-    description = (
-        f"{pair.first} at {time:.6g} s overlaps with {pair.second} by {pair.overlap:.3g} times the smaller "
-        f"radius, more than {limit}."
-    )
+        return f"{diagnosis.body} at {time:.6g} s overlaps by more than {limit:g} of its radius."
+    if pair.overlap >= numerics.abort_overlap:
+        limit = numerics.abort_overlap
+    key = "numerics.max_overlap"
+    named = f"{limit:g} ({key}: auto)" if numerics.max_overlap == "auto" else f"{key} {limit:g}"
+    description = f"{_overlapping(pair, time)}, more than {named}."
     if not diagnosis.begun:
         needed = _limit_for_initial(pair.overlap)
         accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
@@ -233,8 +280,8 @@ def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Contact force above the range of the sums."""
     description = (
         f"the contact force on {diagnosis.body} at {time:.6g} s is above {plan.sum_units.largest_force:.3g} "
-        "N, more than 30 times the force at the overlap limit numerics.max_overlap "
-        f"{plan.scene.numerics.max_overlap:g}."
+        "N, more than 30 times the force at an overlap of "
+        f"{plan.scene.numerics.intended_overlap:g} of the radius."
     )
     if diagnosis.pair is None:
         return _advice(
@@ -413,7 +460,7 @@ def _impact(touching: PairCase, plan: Plan, velocity: float, largest: float) -> 
     remedy = _moduli(
         touching,
         plan,
-        lambda pair: impact_overlap(plan.laws, pair, velocity, plan.scene.numerics.max_overlap),
+        lambda pair: impact_overlap(plan.laws, pair, velocity, plan.scene.numerics.intended_overlap),
         largest,
     )
     cause = (
@@ -503,14 +550,19 @@ def _moduli(touching: PairCase, plan: Plan, overlap: Callable[[PairCase], float]
 
     `expected`: overlap over the radius without a change.
     """
-    factor = modulus_factor(touching, overlap, plan.scene.numerics.max_overlap)
+    factor = modulus_factor(touching, overlap, plan.scene.numerics.intended_overlap)
     if factor is None:
         first = without_modulus(touching, overlap)
     else:
         first = modulus_text(required_moduli(plan.scene.materials, touching.materials, max(factor, 1.0)))
-    needed = float(f"{LIMIT_MARGIN * max(expected, plan.scene.numerics.max_overlap) + 0.005:.2f}")
+    needed = _limit_above(expected, plan)
     accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
     return first + (accept if needed <= LARGEST_OVERLAP else "")
+
+
+def _limit_above(overlap: float, plan: Plan) -> float:
+    """Limit, with two decimals, that permits an expected overlap over the radius."""
+    return float(f"{LIMIT_MARGIN * max(overlap, plan.scene.numerics.intended_overlap) + 0.005:.2f}")
 
 
 # Diagnoses an aborted run on the host: finds the particles or walls that exceeded the limit.
@@ -556,12 +608,11 @@ def diagnose(
         name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()
     }
     if code == ABORT_OVERLAP and step_taken and change is None:
-        # The forces belong to the present positions, one step ahead of the time.
+        # The step is complete: its forces belong to the present positions, half a step after the velocities.
         mass = np.maximum(arrays["mass"], TINY_MASS)
         arrays["velocity"] += (
             0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
         )
-        time += state.clock.time_step
     found = np.flatnonzero(arrays["id"] == particle)
     index = int(found[0])  # a deleted particle is directly behind the others
     body = _body(state.plan, arrays, index)

@@ -77,7 +77,6 @@ class BatchedContacts:
         self.list_shares = build_list_shares(state)
         self.to_grid = build_to_grid(state.backend.real)
         self.loss_count = len(LOSSES)
-        self.max_overlap = state.parameter("max_overlap")
         self.longest_time_step = state.parameter("longest_time_step")
         self.shift = state.parameter("shift", UNIT_FORCE)
         self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
@@ -107,7 +106,7 @@ class BatchedContacts:
         """
         position = self.particles.position[i]
         radius = self.particles.radius[i]
-        overlap_ratio = self.max_overlap()
+        overlap_ratio = self.control.overlap_limit[0]
         entry = entry_begin
         for list_index in range(self.neighbors.list_walls_end[i], self.neighbors.list_end[i]):
             j = self.neighbors.partner[list_index]

@@ -62,6 +62,7 @@ def saved_sums_and_clocks(engine: Engine) -> SavedState:
         "clock": state.clock.state_dict(),
         "clock_at_rebuild": None if engine.is_changed else engine.stepper.clock_at_rebuild,
         "steps_since_update": engine.steps_since_update,
+        "overlap_limit": engine.overlap_limit,
         "particle_count": engine.particle_count,
         "walls_present": [bool(state.walls.present[index]) for index in range(len(engine.plan.walls))],
         "accounting": engine.accounting.state_dict(),

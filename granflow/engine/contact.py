@@ -70,7 +70,6 @@ class Contact:
         self.flows = state.built(Flows) if self.has_flows else None
         self.wears = with_wall and plan.features.wear
         self.wear = state.built(FaceWear) if self.wears else None
-        self.max_overlap = state.parameter("max_overlap")
         self.longest_time_step = state.parameter("longest_time_step")
         self.keeps_bond = "cohesion" in state.neighbors.history
         self.slots_of_surface = [slot for slot in state.neighbors.history if slot != "cohesion"]
@@ -144,7 +143,7 @@ class Contact:
         radius_min = self.particles.radius[i]
         if ti.static(not self.with_wall):
             radius_min = ti.min(radius_min, self.particles.radius[j])
-        if overlap > self.max_overlap() * radius_min:
+        if overlap > self.control.overlap_limit[0] * radius_min:
             ti.atomic_max(self.control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(self.control.abort_particle[0], self.particles.id[i])
 

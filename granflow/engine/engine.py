@@ -324,6 +324,17 @@ class Engine:
         if self.steps_since_update >= STEPS_BETWEEN_UPDATES or self.timing.rebuild_count > rebuilds:
             self._update_time_step()
 
+    @property
+    def overlap_limit(self) -> float:
+        """Overlap over the smaller radius above which `advance` ends with a diagnosis."""
+        return float(self.state.control.overlap_limit[0])
+
+    def permit_overlap(self, limit: float) -> None:
+        """Go on after a step that has ended with an overlap above the limit, with a higher limit."""
+        self.stepper.permit_overlap(limit)
+        if self.steps_since_update == 0:  # an abort leaves an adaptive time step as it is
+            self._update_time_step()
+
     def _update_time_step(self) -> None:
         """Update an adaptive time step for the present state.
 
@@ -538,6 +549,8 @@ class Engine:
         load_wall_dynamics(self.state, saved["wall_dynamics"])
         self.accounting.load_state_dict(saved["accounting"])
         self.steps_since_update = saved["steps_since_update"]
+        if self.plan.scene.numerics.max_overlap == "auto":
+            self.state.control.overlap_limit[0] = saved["overlap_limit"]
         self._velocities_lag = True
         self._walls_changed = False
         self._walls_appeared.clear()

@@ -598,6 +598,7 @@ class Control(Fields):
     list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the
                                 batch
     abort, abort_particle:      abort code and smallest id above the limit
+    overlap_limit:              overlap over the smaller radius above which a step is the last of its launch
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk, see `engine.sums`
@@ -630,6 +631,7 @@ class Control(Fields):
         self.halted_at: Any = None if backend.on_cpu else block.scalar(ti.i32, 2)
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
+        self.overlap_limit = block.scalar(backend.real, 1)
         self.pair_constants = block.vector(
             backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1]
         )
@@ -656,6 +658,7 @@ class Control(Fields):
         if self.collision_edges is not None:
             write_padded(self.collision_edges, plan.collision_edges)
         self.abort_particle[0] = NO_PARTICLE
+        self.overlap_limit[0] = plan.scene.numerics.intended_overlap
         if self.halted_at is not None:
             write_padded(self.halted_at, np.full(2, NOT_HALTED, np.int32))
 

@@ -47,6 +47,7 @@ from granflow.engine.codes import (
     ABORT_DISPLACEMENT,
     ABORT_FORCE,
     ABORT_NOT_FINITE,
+    ABORT_OVERLAP,
     PHASE_FORCES,
     PHASE_INTEGRATION,
 )
@@ -477,7 +478,9 @@ class CpuSteps:
             if computes_forces == 0:
                 pose = launch.pose + self.control.steps_done[0]
                 self.step.move_walls(launch.chunks, pose, launch.dt)
-        if computes_forces == 1 and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0:
+        # A step that ends with an overlap above the limit is complete: the host decides how to go on.
+        is_valid = self.control.abort[0] == 0 or self.control.abort[0] == ABORT_OVERLAP
+        if computes_forces == 1 and self.control.rebuild_due[0] == 0 and is_valid:
             self.control.steps_done[0] = self.control.steps_done[0] + 1
         self.control.rebuild_due[0] = self.control.rebuild_requested[0]
         # A launch without force phases (forcing 0) ends at its first barrier.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.engine.backend import free_device_memory
-from granflow.engine.codes import NOT_HALTED
+from granflow.engine.codes import ABORT_OVERLAP, NO_PARTICLE, NOT_HALTED, PHASE_FORCES
 from granflow.engine.contact import build_end_wall_work
 from granflow.engine.flows import build_withdraw
 from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
@@ -191,6 +191,12 @@ class Stepper:
         """0, or the abort code."""
         return int(self.state.control.abort[0])
 
+    def permit_overlap(self, limit: float) -> None:
+        """Go on after a step that has ended with an overlap above the limit, with a higher limit."""
+        control = self.state.control
+        control.overlap_limit[0] = limit
+        control.abort[0], control.abort_particle[0] = 0, NO_PARTICLE
+
     @property
     def _is_rebuild_due(self) -> bool:
         """Whether the last launch ended because the neighbor lists must be rebuilt."""
@@ -325,6 +331,12 @@ class GpuStepper(Stepper):
         """0, or the abort code."""
         return self._flags.abort
 
+    def permit_overlap(self, limit: float) -> None:
+        """As `Stepper.permit_overlap`."""
+        super().permit_overlap(limit)
+        self.state.control.halted_at[PHASE_FORCES] = NOT_HALTED
+        self._read = None
+
     @property
     def _flags(self) -> DeviceFlags:
         """Flags after the last launch."""
@@ -339,7 +351,9 @@ class GpuStepper(Stepper):
     @property
     def _steps_done(self) -> int:
         flags = self._flags
-        return min(flags.integration_halted_at, flags.forces_halted_at, self._launches) - self._first_launch
+        # The step of a launch that has ended with an overlap above the limit is complete.
+        forces_end = flags.forces_halted_at + int(flags.abort == ABORT_OVERLAP)
+        return min(flags.integration_halted_at, forces_end, self._launches) - self._first_launch
 
     def _begin_count(self) -> None:
         self._first_launch = self._launches

@@ -232,7 +232,7 @@ def build(deck: Deck, draft: Draft) -> None:
                 f"the time step changes to {steps[-1]:g} s; the smallest is taken for all"
             )
     draft.put(
-        ("numerics", "max_overlap"), 0.8, remark="the script has no limit of the overlap; the default is 0.1"
+        ("numerics", "max_overlap"), 0.8, remark="the script has no limit of the overlap; 0.8 is the largest one"
     )
     _output(deck, draft)
 

@@ -109,6 +109,7 @@ class RankEngine(Engine):
     synchronized = _on_all_ranks("synchronized")
     saved_sums = _on_all_ranks("saved_sums")
     rest_state = _on_all_ranks("rest_state")
+    permit_overlap = _on_all_ranks("permit_overlap")
 
     def advance(self, steps: int) -> None:
         """As `Engine`, on all ranks; a stop signal of any rank is then known to the root, which stops."""

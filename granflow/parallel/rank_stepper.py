@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from granflow.engine.codes import ABORT_FAR
+from granflow.engine.codes import ABORT_FAR, ABORT_OVERLAP
 from granflow.engine.host import (
     WITHOUT_HISTORY,
     HistoryTable,
@@ -143,7 +143,7 @@ class RankStepper(Stepper):
         return clock.perf_counter() - began
 
     def _finish_step(self, is_due: bool, step: int, moving: float) -> int:
-        """Rebuild if it is due, and compute the forces; returns 0 after an abort, else 1.
+        """Rebuild if it is due, and compute the forces; returns 1 if the step is complete, else 0.
 
         moving:  time [s] of the integration
         """
@@ -157,7 +157,7 @@ class RankStepper(Stepper):
             self._agree()
         with self._recorded("exchange"):
             self._sum_wall_forces()
-        if self.abort_code:
+        if self.abort_code not in (0, ABORT_OVERLAP):
             return 0
         if not is_due:
             self.steps_since_rebuild += 1

@@ -274,7 +274,6 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield _scalar("saved_capacity", "i32", capacities.saved_entries_per_segment)
     yield _scalar("cell_capacity", "i32", plan.cell_capacity)
     yield _scalar("travel_limit_squared", "real", plan.travel_limit**2)
-    yield _scalar("max_overlap", "real", plan.scene.numerics.max_overlap)
     yield _scalar("longest_time_step", "real", plan.longest_time_step)
     yield _scalar("wall_displacement_limit", "real", plan.wall_displacement_limit)
     yield _scalar("wall_travel_limit", "real", plan.wall_travel_limit)

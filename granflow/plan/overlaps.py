@@ -230,7 +230,7 @@ def supported_pairs(plan: Plan) -> Iterator[tuple[PairCase, float]]:
             continue
         radius = 0.5 * max(large.spec.diameters)
         radius_small = 0.5 * min(small.spec.diameters)
-        count = max(2.0 * LAYER_FRACTION * radius * plan.scene.numerics.max_overlap / radius_small, 1.0)
+        count = max(2.0 * LAYER_FRACTION * radius * plan.scene.numerics.intended_overlap / radius_small, 1.0)
         if radius < SUPPORTED_RATIO * radius_small or small.spec.count <= count:
             continue
         below = {name: each for name, each in mobile.items() if 0.5 * max(each.diameters) < radius}
@@ -532,7 +532,7 @@ def _forecast(
     if not found:
         return None
     scene = plan.scene
-    limit = scene.numerics.max_overlap
+    limit = scene.numerics.intended_overlap
     largest, pair = max(found, key=lambda each: each[0])
     amount = f"{largest:.3g} of the radius" if largest < 1.0 else "more than the radius"
     if cause in ("weight", "wall") and largest < 1.0:
@@ -544,18 +544,27 @@ def _forecast(
         remedy = (
             f"{ends[0]}{_stiffer(plan, found, overlap, pair)}{accept if needed <= LARGEST_OVERLAP else ''}"
         )
-        is_given = scene.is_given("numerics", "max_overlap")
-        place = f" ({scene.where('numerics', 'max_overlap')})" if is_given else ""
         warning = (
-            f"{pair.name}: {words[1]} {amount}, and the run stops above numerics.max_overlap "
-            f"{limit:g}{place}. {remedy[0].upper()}{remedy[1:]}{ends[1]}"
+            f"{pair.name}: {words[1]} {amount}, and {_consequence(scene, largest)}. "
+            f"{remedy[0].upper()}{remedy[1:]}{ends[1]}"
         )
     return Forecast(name, amount, f"{pair.name}{words[0]}", warning, cause, largest, force(pair))
 
 
+def _consequence(scene: Scene, overlap: float) -> str:
+    """Clause on what a run does at an overlap over the radius above the intended one."""
+    numerics = scene.numerics
+    if numerics.max_overlap != "auto":
+        place = scene.where("numerics", "max_overlap")
+        return f"the run stops above numerics.max_overlap {numerics.max_overlap:g} ({place})"
+    if overlap > numerics.abort_overlap:
+        return f"the run stops above {numerics.abort_overlap:g} (numerics.max_overlap: auto)"
+    return f"contact forces become less accurate above {numerics.intended_overlap:g}"
+
+
 def _stiffer(plan: Plan, found: Iterable[tuple[float, PairCase]], overlap: Overlap, worst: PairCase) -> str:
     """The instruction that reduces the overlaps of all pairs to the limit."""
-    limit = plan.scene.numerics.max_overlap
+    limit = plan.scene.numerics.intended_overlap
     moduli: dict[str, float] = {}
     for size, pair in found:
         if size > limit:
@@ -580,7 +589,7 @@ def overlap_forecasts(plan: Plan, velocity: ImpactVelocity) -> Iterator[Forecast
     on_small = [pair for pair, _weight in supported]
 
     def impact(pair: PairCase) -> float:
-        return impact_overlap(laws, pair, velocity.value, plan.scene.numerics.max_overlap)
+        return impact_overlap(laws, pair, velocity.value, plan.scene.numerics.intended_overlap)
 
     def unloaded(pair: PairCase) -> float:
         return static_overlap(laws, pair, 0.0)
@@ -641,7 +650,7 @@ def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
     fixed = np.array([group.fixed for group in scene.particles.values()])[particles.group][owner]
     first, second = near_pairs(position, radius, 0.0)
     depth = radius[first] + radius[second] - np.linalg.norm(position[first] - position[second], axis=1)
-    limit = scene.numerics.max_overlap
+    limit = scene.numerics.intended_overlap
     above = np.flatnonzero(
         (depth > limit * np.minimum(radius[first], radius[second]))
         & (np.minimum(first, second) < len(radii))  # pairs of two images are pairs of spheres too
@@ -659,7 +668,7 @@ def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
     pairs = f"{count} pairs overlap" if count > 1 else "1 pair overlaps"
     raise SceneError(
         f"{scene.locate('particles', group)}: {' and '.join(names)} overlap by {overlap.max():.3g} of the "
-        f"smaller radius at the start, and the run stops above numerics.max_overlap {limit:g} ({pairs} by "
+        f"smaller radius at the start, and at most {limit:g} is permitted (numerics.max_overlap; {pairs} by "
         f"more). Move them {depth[worst]:.3g} m apart, or let granflow place them: kind pack."
     )
 
@@ -721,7 +730,7 @@ def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, 
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
         bodies = group.shape.placed_spheres(points, np.full(SAMPLES, radius), None)
         for wall, overlap in _overlaps(plan.walls, bodies, getattr(group.insert, "start", 0.0), times):
-            share = float(np.mean(overlap > plan.scene.numerics.max_overlap))
+            share = float(np.mean(overlap > plan.scene.numerics.intended_overlap))
             if share > 0.0:
                 yield (
                     ("particles", name, "insert"),
@@ -743,7 +752,7 @@ def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
         for wall, overlap in _overlaps(plan.walls, (bodies[0], bodies[1]), 0.0, times):
-            count = int((overlap > scene.numerics.max_overlap).sum())
+            count = int((overlap > scene.numerics.intended_overlap).sum())
             if count:
                 worst = int(overlap.argmax())
                 x, y, z = particles.position[own[worst]]

@@ -43,7 +43,7 @@ def _longest_steps(plan: Plan, equation: ParticleEquation) -> Iterator[float]:
 
 def _slopes(plan: Plan, equation: ParticleEquation, material: str, radius: float) -> Iterator[float]:
     """Largest derivative by the property of a flow through a contact of a particle."""
-    overlap = plan.scene.numerics.max_overlap * radius
+    overlap = plan.scene.numerics.intended_overlap * radius
     for (first, _), pair in plan.pair_materials.items():
         case = FlowCase(pair, radius, overlap, plan.value_ranges, plan.wall_value_ranges)
         for law in plan.laws.laws if first == material else ():

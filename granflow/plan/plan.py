@@ -459,7 +459,7 @@ class Plan:
             self.pair_cases,
             self.laws.normal,
             velocity=self.impact_velocity.value,
-            max_overlap=self.scene.numerics.max_overlap,
+            max_overlap=self.scene.numerics.intended_overlap,
             radius=self.radius_max,
             time_step=self.longest_time_step,
             size=2.0 * float(np.abs([self.domain_low, self.domain_high]).max()),
@@ -514,7 +514,7 @@ class Plan:
         return flow_units(
             self.laws,
             self.pair_cases,
-            self.scene.numerics.max_overlap,
+            self.scene.numerics.intended_overlap,
             self.value_ranges,
             self.wall_value_ranges,
         )

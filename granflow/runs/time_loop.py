@@ -14,7 +14,7 @@ from math import isfinite
 
 import numpy as np
 
-from granflow.engine.abort import abort_message, permitted_change
+from granflow.engine.abort import LIMIT_RATIO, abort_message, next_limit, overlap_warning, permitted_change
 from granflow.engine.engine import Engine
 from granflow.engine.totals import EXIT_FACES
 from granflow.errors import FunctionError, RunError, StopRun
@@ -130,6 +130,7 @@ class TimeLoop:
             self.engine.advance(steps)
             rate = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
             self._particle_steps = rate * ADVANCE_SECONDS * max(self.engine.particle_count, 1)
+            self._report_overlap()
             self._abort_if_diagnosed()
             self._handle_requests()
         self._handle_event()
@@ -295,6 +296,21 @@ class TimeLoop:
         if kept is not None and (after is None or kept.time > after):
             self.files.save(kept.time, kept.step, kept.state_dict)
 
+    def _report_overlap(self) -> None:
+        """After an overlap with which the run goes on: a warning on the first one, and the next limit."""
+        engine = self.engine
+        if not engine.aborted or (diagnosis := engine.diagnosis) is None:
+            return
+        limit = next_limit(diagnosis, engine.plan)
+        if limit is None:
+            return
+        log = logging.getLogger("granflow")
+        if engine.overlap_limit < 1.1 * engine.plan.scene.numerics.intended_overlap:  # in single precision too
+            log.warning("%s", overlap_warning(diagnosis, engine.plan, engine.time))
+        assert diagnosis.pair is not None
+        log.info("overlap %.3g of the radius at %.6g s", diagnosis.pair.overlap, engine.time)
+        engine.permit_overlap(limit)
+
     def _abort_if_diagnosed(self) -> None:
         """After an abort, write the present state if it is finite, and the last good one as a checkpoint.
 
@@ -313,7 +329,9 @@ class TimeLoop:
                 written = True  # a function from Python receives the snapshot after the files
             with suppress(OSError):
                 self.save_last_good()
-        raise RunError(message + self.files.note_on_state(written, permitted_change(diagnosis)))
+        raise RunError(
+            message + self.files.note_on_state(written, permitted_change(diagnosis, self.engine.plan))
+        )
 
     def last_result(self) -> Result:
         """Numbers of the run at its end, which is logged."""
@@ -325,6 +343,16 @@ class TimeLoop:
         warning = exit_warning(engine.plan, engine.accounting.exits, engine.accounting.inserted_count, meters)
         if warning is not None:
             log.warning("%s", warning)
+        overlap = engine.overlap_limit
+        intended = engine.plan.scene.numerics.intended_overlap
+        if overlap > LIMIT_RATIO * LIMIT_RATIO * intended:
+            log.warning(
+                "The largest overlap of a contact is between %.2g and %.2g of the smaller radius; an earlier "
+                "warning describes the first one above %g.",
+                overlap / LIMIT_RATIO,
+                overlap,
+                intended,
+            )
         self.state.observers.log_end()
         log.info("done at %.6g s after %d steps", engine.time, engine.step_count)
         return result

@@ -95,10 +95,10 @@ def moved_walls() -> Scene:
     walls["low_z"]["wear"] = {"law": "archard", "coefficient": 1e-3, "hardness": "2 GPa"}
     walls["low_x"]["wear"] = {"law": "relative"}
     lattice = moving_lattice((6, 6, 5), largest=0.0062, speed=1.0)
-    coarse = particle_group([[0.021, 0.021, 0.0365]], 0.009, velocity=[[0.0, 0.0, -1.0]])
+    coarse = particle_group([[0.021, 0.021, 0.0365]], 0.009, velocity=[[0.0, 0.0, -6.0]])
     return build_scene(
         {"lattice": lattice, "coarse": coarse}, walls=walls, gravity=[0.0, 3.0, -9.81],
-        numerics={"chunk_size": 32, "skin": 2e-4, "max_overlap": 0.4},
+        numerics={"chunk_size": 32, "skin": 2e-4},
         run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6, "precision": "mixed"},
         output={"interval": 1e-3, "energy_budget": True, "wall_forces": True, "walls": False, "checkpoint": {"interval": 2.5e-4, "keep": 100}},
         **SPRINGS,

@@ -356,9 +356,9 @@ def test_invalid_heat_has_its_message(change, sentence):
 
 
 def test_explain_shows_the_limit_of_the_temperature():
-    """The largest contact has the overlap limit: m c / (12 h) of the sphere with the least capacity."""
+    """The largest contact has the largest intended overlap: m c / (12 h) of the sphere with the least capacity."""
     scene = lines_scene()
-    radius = np.sqrt(RADIUS * RADIUS * scene.numerics.max_overlap)
+    radius = np.sqrt(RADIUS * RADIUS * scene.numerics.intended_overlap)
     limits = [
         capacity / (2.0 * 2.0 * k * other / (k + other) * radius)
         for k, capacity in ((CONDUCTIVITY, CAPACITY), (OTHER_CONDUCTIVITY, OTHER_CAPACITY))

@@ -87,7 +87,7 @@ def contacts(request, taichi_f64, tmp_path_factory):
 @pytest.mark.parametrize("contact", ["pair", "floor", "mesh"])
 def test_the_overlap_limit_holds_for_each_kind_of_contact(contacts, contact):
     """The limit is a fraction of the smaller radius."""
-    limit = contacts.plan.scene.numerics.max_overlap
+    limit = contacts.plan.scene.numerics.intended_overlap
     assert limit_exceeded(contacts, touching(**{contact: limit * (1 - NEAR)})) is None
     assert limit_exceeded(contacts, touching(**{contact: limit * (1 + NEAR)})) == "overlap"
 

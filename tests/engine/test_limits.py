@@ -13,6 +13,7 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 from granflow.errors import RunError
+from granflow.io.log import collected_warnings
 from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
 
@@ -136,7 +137,9 @@ HERTZ = 4 / 3 * (1e8 / (2 * (1 - 0.25**2))) * np.sqrt(0.0025)
 
 
 def test_overlap_message_names_both_particles_with_material_and_speed(taichi_f64):
-    message = abort_message(among_valid(BULLET, TARGET, run={"duration": 0.01, "velocity_max": 40.0}))
+    numerics = NUMERICS | {"max_overlap": 0.1}
+    run = {"duration": 0.01, "velocity_max": 40.0}
+    message = abort_message(among_valid(BULLET, TARGET, run=run, numerics=numerics))
     assert re.search(r"particle 2 \(glass, 39\.\d m/s\) .* with particle 3 \(steel, 0\.\d+ m/s\)", message)
     assert 0.1 < number_after(") by", message) < 0.2
     assert 39.0 < number_after("approach at", message) < 40.0
@@ -144,12 +147,42 @@ def test_overlap_message_names_both_particles_with_material_and_speed(taichi_f64
     assert re.search(
         r"set materials\.glass\.young_modulus to .* and materials\.steel\.young_modulus to", message
     )
-    numerics = NUMERICS | {"skin": 5e-3}
-    faster = abort_message(
-        among_valid(BULLET, TARGET, run={"duration": 0.01, "velocity_max": 1.0}, numerics=numerics)
-    )
+    numerics |= {"skin": 5e-3}
+    faster = abort_message(among_valid(BULLET, TARGET, run=run | {"velocity_max": 1.0}, numerics=numerics))
     assert "above the planned 1 m/s" in faster
     assert 40.0 <= number_after("set run.velocity_max to", faster) < 60.0
+
+
+def colliding(numerics):
+    """Two spheres of 10 mm collide at 20 m/s, without losses."""
+    places = ([0.0, 0, 0], 20.0), ([0.0105, 0, 0], 0.0)
+    groups = {f"ball{k}": particle_group([at], velocity=[v, 0, 0]) for k, (at, v) in enumerate(places)}
+    return build_scene(
+        groups, pair={"restitution": 1.0}, normal="hertz", numerics=NUMERICS | numerics,
+        run={"duration": 1e-3, "velocity_max": 20.0},
+    )  # fmt: skip
+
+
+def end_of(scene):
+    """Steps, velocities and warnings of a run."""
+    with collected_warnings() as warnings, Simulation(scene) as simulation:
+        simulation.run()
+        return simulation.engine.step_count, simulation.snapshot().particles["velocity"][:, 0].tolist(), warnings
+
+
+def test_without_a_limit_an_overlap_is_reported_and_the_run_goes_on(taichi_f64):
+    """Hertz (1882): d = (5 M v^2 / (4 k))^(2/5), 0.31 of the radius; the report bounds it to a quarter."""
+    largest = (5.0 * 0.5 * MASS * 20.0**2 / (4.0 * HERTZ)) ** 0.4 / 0.005
+    steps, velocity, warnings = end_of(colliding({}))
+    first, last = warnings
+    assert 0.1 < float(first.partition(") by ")[2].split()[0]) < 0.13
+    low, high = (number_after(words, last) for words in ("between", "and"))
+    assert low < largest < high and high == pytest.approx(1.25 * low, rel=0.02)
+    assert "results from an impact at 20 m/s" in first and "stops above 0.5" in first
+    limited = end_of(colliding({"max_overlap": 0.5}))  # forces are rounded to another unit
+    assert limited[0] == steps and limited[1] == pytest.approx(velocity, rel=1e-9, abs=1e-10)
+    assert limited[2] == []
+    assert velocity == pytest.approx([0.0, 20.0], abs=0.02)
 
 
 def test_overlap_in_the_first_step_is_diagnosed_as_an_impact(taichi_f64):
@@ -215,7 +248,8 @@ def test_overlap_message_names_the_wall_with_its_velocity(taichi_f64, moves):
         "far": plane([0, 0, 0.9], [0, 0, -1], motion=far),
     }
     run = {"duration": 0.01, "velocity_max": 1.0, "time_step": 1e-5}
-    message = abort_message(build_scene({"ball": ball}, walls, run=run, numerics={"skin": 5e-3}))
+    numerics = {"skin": 5e-3, "max_overlap": 0.1}
+    message = abort_message(build_scene({"ball": ball}, walls, run=run, numerics=numerics))
     assert f"with wall piston (steel, {'50 m/s' if moves else 'at rest'})" in message
     assert 0.1 < number_after(") by", message) < 0.2
     assert 48.0 < number_after("approach at", message) < 50.1

@@ -24,7 +24,7 @@ def impact(modulus, velocity_max=2.0, **more):
     """A sphere hits a floor at 2 m/s."""
     ball = particle_group([[0.0, 0.0, 0.0051]], velocity=[0.0, 0.0, -2.0])
     return build_scene(
-        {"ball": ball}, walls=CORNER, materials=soft(modulus), pair={"friction": 0.3}, numerics={"chunk_size": 16},
+        {"ball": ball}, walls=CORNER, materials=soft(modulus), pair={"friction": 0.3}, numerics={"chunk_size": 16, "max_overlap": 0.1},
         normal="hertz", run={"duration": 0.02, "velocity_max": velocity_max}, **more,
     )  # fmt: skip
 
@@ -59,7 +59,7 @@ def tower(modulus):
     spheres = particle_group([[0.0, 0.0, (k + 0.5) * DIAMETER] for k in range(40)], DIAMETER)
     return build_scene(
         {"tower": spheres}, walls=CORNER, materials=soft(modulus), normal="hertz", gravity=[0.0, 0.0, -9.81],
-        pair={"restitution": 0.3, "friction": 0.3}, numerics={"chunk_size": 16},
+        pair={"restitution": 0.3, "friction": 0.3}, numerics={"chunk_size": 16, "max_overlap": 0.1},
         run={"duration": 0.4, "velocity_max": 0.5},
     )  # fmt: skip
 

@@ -299,7 +299,7 @@ def test_initial_particles_that_overlap_each_other_are_refused(positions, distan
     if distance is None:
         return refuse_initial_overlaps(scene, initial_particles(scene))
     sentence = (
-        f"overlap by {overlap:g} of the smaller radius .* numerics.max_overlap {limit:g} .*Move them "
+        f"overlap by {overlap:g} of the smaller radius .* at most {limit:g} is permitted .numerics.max_overlap; .*Move them "
         f"{distance:g} m"
     )
     with pytest.raises(SceneError, match=sentence):

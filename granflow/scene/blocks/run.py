@@ -166,7 +166,14 @@ LARGEST_ANGLE = 0.9
 """Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4
 (`granflow.plan.pair_case.PairCase.stable_step`)."""
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
-OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
+ACCURATE_OVERLAP = 0.1
+"""Overlap over the smaller radius up to which the contact laws are used without a remark."""
+ABORT_OVERLAP_AUTO = 0.5
+"""Overlap over the smaller radius above which a run is aborted if no limit is given."""
+OverlapLimit = Annotated[
+    float | Literal["auto"],
+    Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP, words=("auto",)),
+]
 ChunkSize = Annotated[
     int | Literal["auto"],
     Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",)),
@@ -194,10 +201,26 @@ class Numerics(Model):
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: q.AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
     chunk_size: ChunkSize = Field("auto", description="particles per chunk of the neighbor list, or auto")
-    max_overlap: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
+    max_overlap: OverlapLimit = Field(
+        "auto",
+        description=(
+            "overlap over radius above which the run is aborted; auto: overlaps above 0.1 are reported in a "
+            "warning, and the run is aborted above 0.5"
+        ),
+    )
     unloading_angle: UnloadingAngle = Field(
         0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
     )
+
+    @property
+    def intended_overlap(self) -> float:
+        """Overlap over the smaller radius up to which nothing is reported."""
+        return ACCURATE_OVERLAP if self.max_overlap == "auto" else self.max_overlap
+
+    @property
+    def abort_overlap(self) -> float:
+        """Overlap over the smaller radius above which the run is aborted."""
+        return ABORT_OVERLAP_AUTO if self.max_overlap == "auto" else self.max_overlap
 
 
 # Block `damping`: damping of all motion, for settling
