@@ -231,9 +231,7 @@ def build(deck: Deck, draft: Draft) -> None:
             entries[0].approximated(
                 f"the time step changes to {steps[-1]:g} s; the smallest is taken for all"
             )
-    draft.put(
-        ("numerics", "max_overlap"), 0.8, remark="the script has no limit of the overlap; 0.8 is the largest one"
-    )
+    draft.put(("numerics", "max_overlap"), 0.8, remark="the script has no limit; 0.8 is the largest one")
     _output(deck, draft)
 
 

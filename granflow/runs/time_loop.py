@@ -305,7 +305,8 @@ class TimeLoop:
         if limit is None:
             return
         log = logging.getLogger("granflow")
-        if engine.overlap_limit < 1.1 * engine.plan.scene.numerics.intended_overlap:  # in single precision too
+        is_first = engine.overlap_limit < 1.1 * engine.plan.scene.numerics.intended_overlap
+        if is_first:  # the limit may be rounded to single precision
             log.warning("%s", overlap_warning(diagnosis, engine.plan, engine.time))
         assert diagnosis.pair is not None
         log.info("overlap %.3g of the radius at %.6g s", diagnosis.pair.overlap, engine.time)

@@ -167,7 +167,11 @@ def end_of(scene):
     """Steps, velocities and warnings of a run."""
     with collected_warnings() as warnings, Simulation(scene) as simulation:
         simulation.run()
-        return simulation.engine.step_count, simulation.snapshot().particles["velocity"][:, 0].tolist(), warnings
+        return (
+            simulation.engine.step_count,
+            simulation.snapshot().particles["velocity"][:, 0].tolist(),
+            warnings,
+        )
 
 
 def test_without_a_limit_an_overlap_is_reported_and_the_run_goes_on(taichi_f64):
