@@ -17,7 +17,7 @@ from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, r
 from granflow.studies.figures import require_pandas
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
 from granflow.studies.run_process import Outcome, naming_write_errors
-from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points, keys_of
+from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points
 from granflow.studies.sweep_page import write_sweep_page
 from granflow.studies.sweep_table import SweepTable, run_texts, shown, table_of, write_tables
 
@@ -65,9 +65,10 @@ def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
         position = document.value_position(("scene",))
         raise FileError(f"{position}: scene is {content.scene}, but there is no file {scene}.")
     positions = {key: str(document.key_position(("set", key))) for key in content.settings}
-    for parameter, variation in content.vary.items():
+    positions |= {key: str(document.key_position(("derive", key))) for key in content.derive}
+    for parameter in content.vary:
         positions |= dict.fromkeys(
-            keys_of(parameter, variation), str(document.key_position(("vary", parameter)))
+            content.keys_of(parameter), str(document.key_position(("vary", parameter)))
         )
     read = {each: str(document.value_position(("read", k))) for k, each in enumerate(content.read)}
     return SweepFile(content, scene, name, positions, read)

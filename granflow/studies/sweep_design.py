@@ -1,10 +1,14 @@
 """Points of a sweep: combinations of the parameter values by grid, Latin hypercube or Saltelli's design."""
 
-from collections.abc import Iterator, Mapping
+import ast
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
-from math import prod, ulp
+from math import nan, prod, ulp
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -132,6 +136,76 @@ class Repeat(Model):
     )
 
 
+# Formulas: values of keys that follow from the parameters.
+
+_OPERATORS: Mapping[type[ast.AST], Callable[..., float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: math.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+_FUNCTIONS: Mapping[str, Callable[..., float]] = {
+    **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "atan")},
+    **{each.__name__: each for each in (abs, min, max)},
+}
+FORMULA_WORDS = "numbers, parameters, pi, + - * / **, parentheses, and " + ", ".join(_FUNCTIONS)
+
+
+def names_in(formula: str) -> tuple[str, ...]:
+    """Names of the parameters in a formula, each once. Raises ValueError if it is not a formula."""
+    try:
+        tree = ast.parse(formula.strip(), mode="eval").body
+    except (SyntaxError, ValueError):
+        raise ValueError("is not a formula") from None
+    return tuple(dict.fromkeys(_names(tree)))
+
+
+def _names(node: ast.AST) -> Iterator[str]:
+    match node:
+        case ast.Constant(value=int() | float()):
+            return
+        case ast.Name(id=name):
+            if name != "pi":
+                yield name
+            return
+        case ast.BinOp(op=sign) | ast.UnaryOp(op=sign) if type(sign) in _OPERATORS:
+            parts = [child for child in ast.iter_child_nodes(node) if child is not sign]
+        case ast.Call(func=ast.Name(id=function), args=[_, *_] as parts, keywords=[]) if (
+            function in _FUNCTIONS
+        ):
+            pass
+        case _:
+            raise ValueError(f"has {ast.unparse(node)}, but a formula consists of {FORMULA_WORDS}")
+    for part in parts:
+        yield from _names(part)
+
+
+def formula_value(formula: str, values: Mapping[str, float]) -> float:
+    """Value of a formula, NaN if it has none, such as sqrt(-1); the scene refuses that."""
+
+    def value(node: ast.AST) -> float:
+        match node:
+            case ast.Constant(value=number):
+                return float(number)  # type: ignore[arg-type]
+            case ast.Name(id=name):
+                return math.pi if name == "pi" else values[name]
+            case ast.BinOp(left=left, op=sign, right=right):
+                return _OPERATORS[type(sign)](value(left), value(right))
+            case ast.UnaryOp(op=sign, operand=operand):
+                return _OPERATORS[type(sign)](value(operand))
+            case ast.Call(func=ast.Name(id=function), args=arguments):
+                return _FUNCTIONS[function](*map(value, arguments))
+        raise AssertionError(ast.dump(node))
+
+    try:
+        return value(ast.parse(formula.strip(), mode="eval").body)
+    except (ArithmeticError, ValueError, TypeError):
+        return nan
+
+
 class SweepInput(Model):
     """A sweep: a scene, the parameters that vary, and the numbers to read from each run."""
 
@@ -143,6 +217,13 @@ class SweepInput(Model):
     )
     vary: dict[Text, Variation] = Field(
         description="values of each parameter; its name is a key path of the scene"
+    )
+    derive: dict[Text, Text] = Field(
+        {},
+        description=(
+            "keys of the scene that follow from the parameters: KEY: formula, SI units; a parameter in a "
+            "formula sets no key by its name"
+        ),
     )
     sampling: Sampling = Field(Grid(), description="grid, latin_hypercube or sobol")
     repeat: Repeat = Field(Repeat(seeds=1), description="repetition of each point with other seeds")
@@ -169,6 +250,7 @@ class SweepInput(Model):
                     ("vary", name, "count"),
                     "has no effect: sampling.count is the number of points; remove it",
                 )
+        yield from self._formula_faults()
         yield from self._repeated_keys()
         if self.run_count > MOST_RUNS:
             path = ("vary",) if gridded else ("sampling", "count")
@@ -184,11 +266,49 @@ class SweepInput(Model):
         designs = len(self.vary) + 2 if isinstance(self.sampling, SobolSampling) else 1
         return self.sampling.count * designs * self.repeat.seeds
 
+    def _formula_faults(self) -> Iterator[Fault]:
+        """Faults of formulas: other words, names that are no parameters, parameters without numbers."""
+        for key, formula in self.derive.items():
+            path = ("derive", key)
+            try:
+                names = names_in(formula)
+            except ValueError as error:
+                yield Fault(path, f"{formula!r} {error}; a formula is 2 * pi * x, for example")
+                continue
+            for name in names:
+                if name not in self.vary:
+                    yield Fault(path, f"{name} is not a parameter of vary; these are {', '.join(self.vary)}")
+                elif not _has_numbers(self.vary[name]):
+                    yield Fault(path, f"a formula needs numbers, and vary.{name} has other values")
+
+    def keys_of(self, name: str) -> tuple[str, ...]:
+        """Keys of the scene that a parameter sets, those in `with` last.
+
+        By its name it sets that key, unless it has `keys`, or is part of a formula.
+        """
+        variation = self.vary[name]
+        along = tuple(variation.along) if isinstance(variation, ValueList) else ()
+        if not isinstance(variation, tuple) and variation.keys:
+            return (*variation.keys, *along)
+        return along if name in self._names_in_formulas() else (name, *along)
+
+    def _names_in_formulas(self) -> set[str]:
+        """Names of the parameters that a formula contains."""
+        found: set[str] = set()
+        for formula in self.derive.values():
+            with suppress(ValueError):  # reported by `faults`
+                found.update(names_in(formula))
+        return found
+
     def _repeated_keys(self) -> Iterator[Fault]:
         """Faults of keys of the scene that several entries set."""
         seen: dict[str, str] = dict.fromkeys(self.settings, "set")
-        for name, variation in self.vary.items():
-            for key in keys_of(name, variation):
+        for key in self.derive:
+            if key in seen:
+                yield whole(("derive", key), f"sets {key}, which {seen[key]} sets too; keep one of them")
+            seen[key] = f"derive.{key}"
+        for name in self.vary:
+            for key in self.keys_of(name):
                 if key in seen:
                     yield whole(("vary", name), f"sets {key}, which {seen[key]} sets too; keep one of them")
                 seen[key] = f"vary.{name}"
@@ -203,10 +323,12 @@ def _value_count(variation: Any) -> int:
     return len(variation.values if isinstance(variation, ValueList) else variation)
 
 
-def keys_of(name: str, variation: Any) -> tuple[str, ...]:
-    """Keys of the scene that a parameter sets, those in `with` last."""
-    own = (not isinstance(variation, tuple) and variation.keys) or (name,)
-    return (*own, *(variation.along if isinstance(variation, ValueList) else ()))
+def _has_numbers(variation: Any) -> bool:
+    """Whether all values of a parameter are numbers, in SI or with a unit."""
+    if isinstance(variation, ValueRange):
+        return True
+    values = variation.values if isinstance(variation, ValueList) else variation
+    return all(isinstance(si_value(each), int | float) for each in values)
 
 
 @dataclass(frozen=True)
@@ -233,12 +355,10 @@ def design_points(sweep: SweepInput) -> list[DesignPoint]:
     SALib without second-order indices: for each base point A, each A with one value of B, and B.
     """
     if isinstance(sweep.sampling, Grid):
-        levels = [list(_grid_levels(name, variation)) for name, variation in sweep.vary.items()]
+        levels = [list(_grid_levels(sweep, name)) for name in sweep.vary]
         return [_point(sweep, combination) for combination in product(*levels)]
     return [
-        _point(
-            sweep, [_level_at(*entry, share) for entry, share in zip(sweep.vary.items(), row, strict=True)]
-        )
+        _point(sweep, [_level_at(sweep, name, share) for name, share in zip(sweep.vary, row, strict=True)])
         for row in unit_samples(sweep.sampling, len(sweep.vary)).tolist()
     ]
 
@@ -248,7 +368,9 @@ def _point(sweep: SweepInput, levels: Any) -> DesignPoint:
     settings = dict(sweep.settings)
     for level in levels:
         settings.update(level.settings)
-    return DesignPoint({name: level.value for name, level in zip(sweep.vary, levels, strict=True)}, settings)
+    values = {name: level.value for name, level in zip(sweep.vary, levels, strict=True)}
+    settings.update({key: formula_value(formula, values) for key, formula in sweep.derive.items()})
+    return DesignPoint(values, settings)
 
 
 def unit_samples(sampling: LatinHypercube | SobolSampling, parameters: int) -> np.ndarray:
@@ -270,25 +392,27 @@ def unit_samples(sampling: LatinHypercube | SobolSampling, parameters: int) -> n
     return np.asarray(mixed.reshape(-1, parameters))
 
 
-def _grid_levels(name: str, variation: Any) -> Iterator[_Level]:
+def _grid_levels(sweep: SweepInput, name: str) -> Iterator[_Level]:
     """All values of a parameter in a grid."""
+    variation = sweep.vary[name]
     if isinstance(variation, ValueRange):
         count = variation.count or 1
-        yield from (_level_at(name, variation, Fraction(k, max(count - 1, 1))) for k in range(count))
+        yield from (_level_at(sweep, name, Fraction(k, max(count - 1, 1))) for k in range(count))
     else:
         values = variation.values if isinstance(variation, ValueList) else variation
-        yield from (_listed(name, variation, k) for k in range(len(values)))
+        yield from (_listed(sweep, name, k) for k in range(len(values)))
 
 
-def _level_at(name: str, variation: Any, share: float | Fraction) -> _Level:
+def _level_at(sweep: SweepInput, name: str, share: float | Fraction) -> _Level:
     """The value at a fraction `share` of the range, or of the list, in which all values are equally
     probable."""
+    variation = sweep.vary[name]
     if isinstance(variation, ValueRange):
         value = value_at(variation, share)
         given = in_si(value, variation.start.unit or variation.stop.unit)
-        return _Level(value, dict.fromkeys(variation.keys or (name,), given))
+        return _Level(value, dict.fromkeys(sweep.keys_of(name), given))
     values = variation.values if isinstance(variation, ValueList) else variation
-    return _listed(name, variation, int(share * len(values)))
+    return _listed(sweep, name, int(share * len(values)))
 
 
 SHORT = 9
@@ -312,11 +436,12 @@ def value_at(bounds: ValueRange, share: float | Fraction) -> float:
     return float(start + Fraction(share) * (stop - start))
 
 
-def _listed(name: str, variation: Any, index: int) -> _Level:
+def _listed(sweep: SweepInput, name: str, index: int) -> _Level:
     """The value of a list at an index, and the values that change with it."""
-    if not isinstance(variation, ValueList):
-        value = variation[index]
-        return _Level(si_value(value), {name: value})
-    value = variation.values[index]
-    along = {key: values[index] for key, values in variation.along.items()}
-    return _Level(si_value(value), dict.fromkeys(variation.keys or (name,), value) | along)
+    variation = sweep.vary[name]
+    assert not isinstance(variation, ValueRange)
+    along = {}
+    if isinstance(variation, ValueList):
+        along = {key: values[index] for key, values in variation.along.items()}
+    value = (variation.values if isinstance(variation, ValueList) else variation)[index]
+    return _Level(si_value(value), dict.fromkeys(sweep.keys_of(name), value) | along)

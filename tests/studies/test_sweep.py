@@ -164,6 +164,33 @@ def test_grid_contains_all_combinations_in_si_units_and_the_scene_gets_the_given
     assert ranged[3].settings["wall.angle"] == "0.5235987755982988 rad"
 
 
+def test_formulas_give_keys_of_the_scene_in_si_units():
+    """omega = sqrt(Fr g / R): 4.95 rad/s for 0.1 and 40 mm."""
+    vary = {"froude": [0.1, -1.0], "radius": {"values": ["40 mm"], "keys": ["walls.shell.radius"]}}
+    derive = {"omega": "sqrt(froude * 9.81 / radius)", "side": "-2 * max(radius, 0.01) ** 2 + pi / 4"}
+    first, second = design_points(sweep_of(vary=vary, derive=derive))
+    assert first.values == {"froude": 0.1, "radius": 0.04}
+    assert first.settings.keys() == {"omega", "side", "walls.shell.radius"}
+    assert first.settings["omega"] == pytest.approx(np.sqrt(0.1 * 9.81 / 0.04), rel=1e-14)
+    assert first.settings["side"] == pytest.approx(np.pi / 4 - 2 * 0.04**2, rel=1e-14)
+    assert first.settings["walls.shell.radius"] == "40 mm" and np.isnan(second.settings["omega"])
+
+
+@pytest.mark.parametrize(
+    ("formula", "message"),
+    [
+        ("2 *", "is not a formula"),
+        ("__import__('os').getcwd()", "but a formula consists of numbers"),
+        ("x.real", "but a formula consists of numbers"),
+        ("y + 1", "y is not a parameter of vary; these are x, law"),
+        ("law + 1", "a formula needs numbers, and vary.law has other values"),
+    ],
+)
+def test_other_words_than_those_of_a_formula_are_refused(formula, message):
+    (fault,) = sweep_of(vary={"x": [1.0], "law": ["hertz"]}, derive={"key": formula}).faults()
+    assert message in str(fault)
+
+
 def test_sobol_design_gives_the_indices_of_the_ishigami_function():
     """Ishigami & Homma (1990): f = sin x + a sin^2 y + b z^4 sin x on (-pi, pi)^3, with a = 7 and b = 0.1.
 
