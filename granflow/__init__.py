@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
     from granflow.scene.blocks.metrics import SlidingMetric as SlidingMetric
     from granflow.scene.blocks.motions import FreeWall as FreeWall
+    from granflow.scene.blocks.motions import Oscillation as Oscillation
     from granflow.scene.blocks.motions import Rotation as Rotation
     from granflow.scene.blocks.motions import Servo as Servo
     from granflow.scene.blocks.motions import SurfaceVelocity as SurfaceVelocity
@@ -162,6 +163,7 @@ _LOCATIONS = {
     "MeshWall": "granflow.scene.blocks.walls.mesh.MeshWall",
     "NormalSizes": "granflow.scene.blocks.sizes.NormalSizes",
     "Numerics": "granflow.scene.blocks.run.Numerics",
+    "Oscillation": "granflow.scene.blocks.motions.Oscillation",
     "Output": "granflow.scene.blocks.output.Output",
     "OutputError": "granflow.errors.OutputError",
     "PackInsertion": "granflow.scene.blocks.insertions.PackInsertion",

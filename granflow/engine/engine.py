@@ -248,6 +248,9 @@ class Engine:
             self.state.walls.present[index] = int(is_present)
             pivot = poses_at(self.state.wall_motions[index], np.array([self.time])).pivot
             self.state.walls.pivot[index] = pivot.tolist()
+            if self.state.walls.torque_point is not None:
+                given = self.plan.walls[index].spec.torque_point
+                self.state.walls.torque_point[index] = pivot.tolist() if given is None else list(given)
         self._walls_changed = True
 
     def set_stage(self, stage: str) -> None:

@@ -383,6 +383,7 @@ class Walls:
     surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
                        None without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
+    torque_point:      [m], to which measured torques refer
     wear_law:          index in `Plan.wear_laws`, or NOT_WORN
     wear_row:          row in `Control.wear`; of a mesh that of triangle 0 of all meshes, which can be below 0
     wear_coefficient:  worn volume over work [1/Pa] by material of the particle
@@ -403,7 +404,9 @@ class Walls:
         self.center = block.vector(backend.position_real, POSE_COUNT, count) if moving else None
         self.rotation = block.matrix(backend.position_real, POSE_COUNT, count) if moving else None
         self.velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
-        self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
+        measured = plan.features.wall_forces
+        self.impulse_row = block.scalar(ti.i32, count) if measured else None
+        self.torque_point = block.vector(backend.position_real, count) if measured else None
         self.angular_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         worn = plan.features.wear
         self.wear_law: Any = block.scalar(ti.i32, count) if worn else None

@@ -321,10 +321,10 @@ class WallImpulses:
 
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
 
-    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are exact,
+    with p the `torque_point` of the wall, by default that of its first rotation in the scene. Sums are exact,
     because a wall force is the difference of two sums. Chunks of one particle share rows by atomic additions.
 
-    Reads:   position, impulse_row, pivot
+    Reads:   position, impulse_row, torque_point
     Writes:  impulses
     """
 
@@ -345,7 +345,7 @@ class WallImpulses:
             time = ti.cast(dt, ti.f64)
             impulse = -time * ti.cast(force, ti.f64)
             angular_impulse = -time * ti.cast(torque, ti.f64)
-            arm = ti.cast(self.position[i], ti.f64) - ti.cast(self.walls.pivot[w], ti.f64)
+            arm = ti.cast(self.position[i], ti.f64) - ti.cast(self.walls.torque_point[w], ti.f64)
             angular_impulse += arm.cross(impulse)
             units = ti.cast(self.per_unit(), ti.f64)
             terms = ti.Vector.zero(ti.i64, 2 * IMPULSE_SIZE)

@@ -19,7 +19,7 @@ from granflow.plan.pair_case import PairCase
 from granflow.plan.stages import always
 from granflow.plan.time_step import STEP_SHARE
 from granflow.plan.walls import PlannedWall
-from granflow.scene.blocks.motions import single_rotation
+from granflow.scene.blocks.motions import rotations_of
 from granflow.visible_text import alternatives
 
 # The domain: width of periodic boxes, walls that cross periodic boundaries, and domains that expand.
@@ -78,10 +78,8 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
         return
     times = always(scene.schedule)
     for wall in walls:
-        rotation = single_rotation([each.at(times) for each in wall.motions])
-        if rotation is None:
-            continue
-        if math.isinf(wall.surface.reach_about(*rotation.point_and_axis)):
+        rotations = rotations_of([each.at(times) for each in wall.motions])
+        if any(math.isinf(wall.surface.reach_about(*each.point_and_axis)) for each in rotations):
             raise SceneError(
                 f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, "
                 "which is not supported in a domain that expands. Use a bounded shape (shape: rectangle), or "

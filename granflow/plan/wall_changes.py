@@ -12,14 +12,8 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.plan.joined_walls import joints_of
 from granflow.plan.plan import Plan
-from granflow.plan.walls import PlannedWall
-from granflow.scene.blocks.motions import (
-    TimedMotion,
-    placement_at,
-    placement_of,
-    single_rotation,
-    speed_bound,
-)
+from granflow.plan.walls import PlannedWall, geometry_speed
+from granflow.scene.blocks.motions import TimedMotion, placement_at
 
 
 def wall_named(plan: Plan, name: str) -> PlannedWall:
@@ -53,12 +47,6 @@ def with_motions(
     wall = wall_named(plan, name)
     if any(controlled.name == name for controlled in plan.controlled_motions):
         raise GranflowError(f"walls[{name!r}] is force-controlled: its motion cannot be changed.")
-    try:
-        single_rotation(motions)
-    except ValueError:
-        raise GranflowError(
-            f"walls[{name!r}].motion has two rotations, but a wall can have at most one."
-        ) from None
     return with_wall(plan, replace(wall, motions=(placement_at(present, time), *motions)))
 
 
@@ -98,24 +86,10 @@ def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
 
 def _speed(plan: Plan, wall: PlannedWall) -> float:
     """Largest speed [m/s] of the geometry of the wall within the domain, by its prescribed motions without
-    stages.
-
-    A rotation of a placed wall is about an axis in space; the axis through the wall at rest is inversely
-    placed.
-    """
+    stages."""
     motions = [each for each in wall.motions if each.stages is None]
-    rotation = single_rotation(motions)
-    reach = 0.0
-    if rotation is not None:
-        point, axis = rotation.point_and_axis
-        corners = np.abs([plan.domain_low - point, plan.domain_high - point]).max(axis=0)
-        placement = placement_of(motions)
-        if placement is not None:
-            turned = np.array(placement.rotation).T
-            point = turned @ (point - np.array(placement.translation))
-            axis = turned @ axis
-        reach = min(wall.surface.reach_about(point, axis), float(np.linalg.norm(corners)))
-    return speed_bound(motions, reach)
+    corners = np.array([plan.domain_low, plan.domain_high])
+    return geometry_speed(wall.surface, motions, corners, plan.scene.longest_duration)
 
 
 def changed_walls(plan: Plan, original: Plan) -> Mapping[str, PlannedWall]:

@@ -5,6 +5,7 @@ the scene with unit vectors and without optional values. A motion or a wall that
 times when the stages begin.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -17,7 +18,7 @@ from granflow.geometry.surface import Surface, assign_shared_edges
 from granflow.io.files import FormatError
 from granflow.load import Scene
 from granflow.plan.stages import StageTimes, always
-from granflow.scene.blocks.motions import TimedMotion, single_rotation, speed_bound
+from granflow.scene.blocks.motions import TimedMotion, placement_of, speed_bound
 from granflow.scene.blocks.walls.wall import Wall
 
 
@@ -120,18 +121,59 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
     geometry.
     """
     corners = np.array([scene.domain.min, scene.domain.max])
-    speeds = {}
     times = always(scene.schedule)
-    for wall in walls:
-        motions = [each.at(times) for each in wall.motions]
-        rotation = single_rotation(motions)
-        reach = 0.0
-        if rotation is not None:
-            point, axis = rotation.point_and_axis
-            max_distance = float(np.linalg.norm(np.abs(corners - point).max(axis=0)))
-            reach = min(wall.surface.reach_about(point, axis), max_distance)
-        speeds[wall.name] = speed_bound(motions, reach)
-    return speeds
+    return {
+        wall.name: geometry_speed(
+            wall.surface, [each.at(times) for each in wall.motions], corners, scene.longest_duration
+        )
+        for wall in walls
+    }
+
+
+def geometry_speed(
+    surface: Surface, motions: Sequence[TimedMotion], corners: np.ndarray, duration: float
+) -> float:
+    """Largest speed [m/s] of a surface within the domain by a chain of prescribed motions.
+
+    corners:   smallest and largest coordinates of the domain (2, 3) [m]
+    duration:  [s] of the run
+
+    The last motion that is a rotation has the reach of the surface about its axis. For an earlier one, the
+    motions after it move the surface in a ball about a point of its axis, which each of them enlarges.
+    Motions after a placement refer to space; the surface at rest is then inversely placed.
+    """
+    speeds = []
+    travel = 0.0  # of translations in the frame of the present motion
+    ball: tuple[np.ndarray, float] | None = None
+    placement = placement_of(motions)
+    for index, motion in reversed(list(enumerate(motions))):
+        if not motion.rotates:
+            speeds.append(motion.top_speed(0.0))
+            travel += motion.travel(duration)
+            continue
+        in_space, axis = motion.point_and_axis
+        point = in_space
+        if placement is not None:
+            turned = np.array(placement.rotation).T
+            point = turned @ (in_space - np.array(placement.translation))
+            axis = turned @ axis
+        center, radius = ball or (point, _radius_about(surface, point))
+        radius += travel + float(np.linalg.norm(point - center))
+        reach = radius if ball is not None or travel > 0.0 else surface.reach_about(point, axis)
+        is_carried = any(each.rotates for each in motions[:index])
+        if not is_carried or math.isinf(reach):
+            reach = min(reach, float(np.linalg.norm(np.abs(corners - in_space).max(axis=0))))
+        speeds.append(motion.top_speed(reach))
+        ball = point, radius
+        travel = 0.0
+    return sum(reversed(speeds))
+
+
+def _radius_about(surface: Surface, point: np.ndarray) -> float:
+    """Largest distance [m] of a surface from a point; infinite for an unbounded one."""
+    if surface.area is None:
+        return math.inf
+    return float(np.linalg.norm(surface.enclosing_points() - point, axis=1).max())
 
 
 def surface_speed(scene: Scene) -> float:

@@ -678,6 +678,10 @@ def wall_forces(parts: PartialScene) -> Iterator[Fault]:
     if not isinstance(requested, bool):
         yield from unknown_names(("output", "wall_forces"), requested, known, "wall")
     measured = known if requested is True else requested or ()
+    for name, given in parts.scene.walls.items():
+        if given.torque_point is not None and name not in measured:
+            reason = f"has no effect: output.wall_forces does not include {name}; remove it, or add {name}"
+            yield whole(("walls", name, "torque_point"), reason)
     for path, quantity, wall in _expected(parts.scene):
         if quantity not in WALL_FORCE_QUANTITIES:
             continue
@@ -687,10 +691,10 @@ def wall_forces(parts: PartialScene) -> Iterator[Fault]:
             remedy = "write wall_forces: true, or add it to the list"
             yield Fault(path, f"output.wall_forces does not include {wall}; {remedy}")
         elif "pressure" in quantity:
-            given = parts.scene.walls.get(wall)
-            if given is not None and not given.is_bounded:
+            unbounded = parts.scene.walls.get(wall)
+            if unbounded is not None and not unbounded.is_bounded:
                 remedy = "use wall_force_x, wall_force_y or wall_force_z"
-                yield Fault(path, f"the {given.shape} {wall} is infinite and has no area; {remedy}")
+                yield Fault(path, f"the {unbounded.shape} {wall} is infinite and has no area; {remedy}")
 
 
 # Expectations and conditions of stages: names of quantities and of their parts

@@ -72,7 +72,20 @@ def moved_walls() -> Scene:
         "kind": "surface_velocity", "velocity": [2.0, 0.5, 0.0], "ramp_duration": 1e-3, "initial_velocity": [0, 1, 0]
     }  # fmt: skip
     turning = {"kind": "rotation", "point": [0.021, 0.021, 0.0], "axis": [0, 0, 1], "angular_velocity": 40.0}
-    walls["cube"] = {"shape": "mesh", "file": "cube.stl", "material": "glass", "motion": turning}
+    rocking = {
+        "kind": "oscillation",
+        "point": [0.019, 0.021, 0.0],
+        "axis": [1, 0, 0],
+        "amplitude": 0.02,
+        "frequency": 300.0,
+    }
+    walls["cube"] = {
+        "shape": "mesh",
+        "file": "cube.stl",
+        "material": "glass",
+        "motion": [turning, rocking],
+        "torque_point": [0.0, 0.0, 0.01],
+    }
     shaken = {"kind": "vibration", "direction": [1, 0, 0], "amplitude": 2e-4, "frequency": 300.0}
     table = {
         "kind": "table",

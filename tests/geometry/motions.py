@@ -1,6 +1,13 @@
 """Motions in the form of the plan: unit vectors, no optional values."""
 
-from granflow.scene.blocks.motions import Rotation, SurfaceVelocity, TableMotion, Translation, Vibration
+from granflow.scene.blocks.motions import (
+    Oscillation,
+    Rotation,
+    SurfaceVelocity,
+    TableMotion,
+    Translation,
+    Vibration,
+)
 
 NO_GRAVITY = (0.0, 0.0, 0.0)
 
@@ -21,6 +28,11 @@ def surface_velocity(velocity, **keys):
 def rotation(point, axis, angular_velocity, **keys):
     given = {"point": point, "axis": axis, "angular_velocity": angular_velocity}
     return Rotation(**given, **keys).numeric(NO_GRAVITY)
+
+
+def oscillation(point, axis, amplitude, angular_frequency, **keys):
+    given = {"point": point, "axis": axis, "amplitude": amplitude, "angular_frequency": angular_frequency}
+    return Oscillation(**given, **keys).numeric(NO_GRAVITY)
 
 
 def table(times, **keys):

@@ -5,8 +5,9 @@ from math import pi
 
 import numpy as np
 import pytest
-from geometry.motions import rotation, surface_velocity, translation, vibration
+from geometry.motions import oscillation, rotation, surface_velocity, table, translation, vibration
 
+from granflow.plan.walls import geometry_speed
 from granflow.scene.blocks.motions import poses_at, speed_bound
 from granflow.scene.blocks.walls.half_space import half_space
 from granflow.scene.blocks.walls.rectangle import rectangle
@@ -62,11 +63,23 @@ def test_vibration_follows_the_formulas_of_the_schema():
 
 
 SWITCHES = np.array([0.1, 0.2, 0.3, 0.35, 0.5, 0.8, 0.9])
+CHAIN = [
+    translation((0.4, -0.2, 0.1), start=0.1),
+    rotation((0.3, 0.1, 0.2), AXIS, 3.0, start=0.2),
+    oscillation((0.1, -0.3, 0.2), (0.0, 0.6, 0.8), 0.4, 6.0, phase=0.3, start=0.3, end=0.9),
+    vibration((0.6, 0.0, 0.8), 0.02, 8.0, start=0.2, end=0.8),
+    table((0.0, 0.35, 0.8), start=0.1, angles=(0.0, 0.5, 0.2), point=(0.0, 0.2, 0.1), axis=(1.0, 0.0, 0.0)),
+    translation((0.0, 0.1, 0.3), start=0.35, end=0.8),
+]
+"""Each motion is carried by those before it."""
 
 
-@pytest.mark.parametrize(("motions", "third", "rounding"), [(MOTIONS, 3.9e4, 8e-16), (RAMPS, 1e4, 1e-15)])
+@pytest.mark.parametrize(
+    ("motions", "third", "rounding"), [(MOTIONS, 3.9e4, 8e-16), (RAMPS, 1e4, 1e-15), (CHAIN, 1e4, 2e-15)]
+)
 def test_velocity_is_the_derivative_of_the_pose(motions, third, rounding):
-    """Third derivatives: A w^3 = 3.9e4 of the vibration; 3 w (dw/dt) r + w^3 r, below 1e4, of the ramps."""
+    """Third derivatives: A w^3 = 3.9e4 of the vibration; 3 w (dw/dt) r + w^3 r, below 1e4, of the ramps; of the
+    chain w^3 r < 10^3 * 5, with the sum of all rates below 3 + 0.4 * 6 + 3 = 8.4."""
     points = np.random.default_rng(3).uniform(-1, 1, (5, 3))
     step = 1e-6
     times = np.random.default_rng(4).uniform(-0.1, 1.1, 400)
@@ -95,6 +108,66 @@ def test_rotation_follows_the_right_hand_rule():
     np.testing.assert_allclose(
         moved(np.array([[2.0, 0, 0]]), [rotation((1, 0, 0), (0, 0, 1), pi / 2)], 1.0)[0, 0], [1, 1, 0]
     )
+
+
+def rotated(points, about, axis, angle):
+    """Points (n, 3) after a rotation (Rodrigues), written for one angle."""
+    arm = points - np.asarray(about)
+    along = np.outer(arm @ axis, axis)
+    return about + along + np.cos(angle) * (arm - along) + np.sin(angle) * np.cross(axis, arm)
+
+
+def test_motions_of_a_list_are_a_chain():
+    """The last motion moves the wall, each one before it moves the result."""
+    points = np.random.default_rng(5).uniform(-1, 1, (4, 3))
+    time = 0.7
+    expected = points + 0.35 * np.array([0.0, 0.1, 0.3])
+    swing = CHAIN[4].angle_and_rate(np.array([time]))[0][0]
+    expected = rotated(expected, [0.0, 0.2, 0.1], [1.0, 0.0, 0.0], swing)
+    expected = expected + 0.02 * np.sin(8.0 * 0.5) * np.array([0.6, 0.0, 0.8])
+    angle = 0.4 * (np.sin(6.0 * 0.4 + 0.3) - np.sin(0.3))
+    expected = rotated(expected, [0.1, -0.3, 0.2], [0.0, 0.6, 0.8], angle)
+    expected = rotated(expected, [0.3, 0.1, 0.2], AXIS, 3.0 * 0.5)
+    expected = expected + 0.6 * np.array([0.4, -0.2, 0.1])
+    np.testing.assert_allclose(moved(points, CHAIN, np.array([time]))[0], expected, atol=1e-14)
+
+
+def test_pot_of_a_planetary_mill():
+    """The center of the pot circles the axis of the mill; the pot turns by the difference to space."""
+    arm, orbit, spin = 0.1, 30.0, -75.0
+    mill = [rotation((0, 0, 0), (0, 0, 1), orbit), rotation((arm, 0, 0), (0, 0, 1), spin)]
+    times = np.linspace(0.0, 0.3, 7)
+    point = np.array([[arm + 0.03, 0.0, 0.02]])
+    turned = (orbit + spin) * times
+    expected = np.stack(
+        [
+            arm * np.cos(orbit * times) + 0.03 * np.cos(turned),
+            arm * np.sin(orbit * times) + 0.03 * np.sin(turned),
+            np.full(7, 0.02),
+        ],
+        axis=1,
+    )
+    np.testing.assert_allclose(moved(point, mill, times)[:, 0], expected, atol=1e-15)
+    np.testing.assert_allclose(poses_at(mill, times).angular_velocity, [[0.0, 0.0, orbit + spin]] * 7)
+
+
+def test_speeds_of_chains_are_bounded():
+    """No point of a surface is faster than the bound, which of a planetary pot is at most twice its speed."""
+    domain = np.array([[-2.0] * 3, [2.0] * 3])
+    pot = cylinder((0.1, 0.0, 0.0), (0.1, 0.0, 0.05), 0.03)
+    mill = [rotation((0, 0, 0), (0, 0, 1), 30.0), rotation((0.1, 0, 0), (0, 0, 1), -75.0)]
+    plate = rectangle((0.2, 0.1, 0.0), (0.3, 0.0, 0.0), (0.0, 0.2, 0.1))
+    for surface, motions, slack in ((pot, mill, 2.0), (plate, CHAIN, np.inf), (plate, CHAIN[::-1], np.inf)):
+        points, _ = surface.triangles(np.zeros(3), 1.0)
+        times = np.linspace(0.0, 1.0, 500)
+        poses = poses_at(motions, times)
+        arms = moved(points, motions, times) - poses.pivot - poses.offset[:, None, :]
+        velocity = poses.velocity[:, None, :] + np.cross(poses.angular_velocity[:, None, :], arms)
+        fastest = np.linalg.norm(velocity, axis=2).max()
+        bound = geometry_speed(surface, motions, domain, 1.0)
+        assert fastest <= bound <= slack * fastest
+    with_plane = geometry_speed(half_space((0, 0, 0), (0, 0, 1)), CHAIN, domain, 1.0)
+    assert 0.0 < with_plane < 1e3
 
 
 def test_speed_bound_is_the_maximum_speed():

@@ -5,7 +5,8 @@ values as given; `numeric` returns a motion of the same class with unit vectors 
 Plan, engine, live walls and checkpoints have such motions, and only these have poses and speeds.
 
 A wall is in its rest pose until its first motion starts and keeps its pose when its last motion ends.
-Translations and vibrations add; at most one rotation turns the wall, about an axis that translates with it.
+The motions of a wall form a chain: each is in the frame that the ones before it in the list move. The first
+one is in space, the last one is that of the wall in the frame of all others.
 """
 
 import math
@@ -35,7 +36,8 @@ LEVEL = 1e-6
 class TimedMotion(Model):
     """A motion from `start` to `end` or during stages; by default during the whole run.
 
-    Motions of the same wall are superposed; a wall has at most one rotation.
+    Points and directions of a motion are those of the scene at rest, and move with the motions before it in
+    the list of its wall.
     """
 
     force_controlled: ClassVar[bool] = False
@@ -145,6 +147,10 @@ class TimedMotion(Model):
     def top_speed(self, reach: float) -> float:
         """Largest speed [m/s] of geometry that moves at most at a distance `reach` [m] from the axis."""
         return 0.0
+
+    def travel(self, duration: float) -> float:
+        """Largest displacement [m] of a translation within a duration [s]; 0 for other motions."""
+        return self.top_speed(0.0) * min(duration, self.end_time - self.start_time)
 
     @property
     def surface_speed(self) -> float:
@@ -307,6 +313,11 @@ class Vibration(TimedMotion):
         assert self.amplitude is not None and self.angular_frequency is not None
         return abs(self.amplitude * self.angular_frequency)
 
+    def travel(self, duration: float) -> float:
+        """Twice the amplitude."""
+        assert self.amplitude is not None
+        return 2.0 * abs(self.amplitude)
+
     @property
     def period(self) -> float:
         """2 pi / w [s]; infinite without motion (w = 0 or amplitude 0)."""
@@ -426,7 +437,7 @@ class Rotation(TimedMotion):
     """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at
     the start.
 
-    The torque on the wall refers to `point`.
+    The torque on a wall refers to `point` of its first rotation, unless the wall has a `torque_point`.
 
     >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
     3.141592653589793
@@ -498,6 +509,90 @@ class Rotation(TimedMotion):
     def period(self) -> float:
         """2 pi / w [s] at the largest rate; infinite without motion."""
         return 2.0 * math.pi / self._top_rate if self._top_rate else inf
+
+
+class Oscillation(TimedMotion):
+    """Rotation to and fro about an axis, sinusoidal in time t since the start [s], as of a rocking drum.
+
+        angle:             amplitude * (sin(angular_frequency * t + phase) - sin(phase))
+        angular velocity:  amplitude * angular_frequency * cos(angular_frequency * t + phase)
+
+    The angle is continuous at the start; the angular velocity is too if phase is 90 deg or -90 deg. At the
+    end the wall stops at its angle.
+
+    >>> gf.Oscillation(point=[0, 0, 0], axis=[0, 1, 0], amplitude="30 deg", frequency="0.5 Hz").frequency
+    0.5
+    """
+
+    oscillates: ClassVar[bool] = True
+    saved_numbers: ClassVar[Mapping[str, int]] = {
+        "point": 3,
+        "axis": 3,
+        "amplitude": 1,
+        "angular_frequency": 1,
+        "phase": 1,
+        "start": 1,
+        "end": 1,
+    }
+
+    kind: Literal["oscillation"] = Field("oscillation", description="kind of motion")
+    point: q.Point = Field(description="a point on the axis [m]")
+    axis: q.Direction = Field(description="direction of the axis; its length does not matter")
+    amplitude: q.Angle = Field(
+        description="amplitude, half of the angle from end to end [rad]", examples=["30 deg"]
+    )
+    frequency: q.Frequency | None = Field(None, description="frequency [Hz]", examples=["0.5 Hz"])
+    angular_frequency: q.PositiveAngularVelocity | None = Field(
+        None, description="angular frequency [rad/s], instead of frequency", examples=["3 rad/s"]
+    )
+    phase: q.Angle = Field(
+        0.0,
+        description="phase at the start [rad]; 0: the wall starts at full rate from the center",
+        examples=["90 deg"],
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless one of frequency and angular_frequency is given."""
+        yield from super().faults()
+        if self.frequency is not None and self.angular_frequency is not None:
+            yield redundant("angular_frequency", "frequency")
+        elif self.frequency is None and self.angular_frequency is None:
+            yield missing(("frequency",), "frequency of the oscillation [Hz]")
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        rate = self.angular_frequency
+        if rate is None:
+            assert self.frequency is not None
+            rate = 2.0 * math.pi * self.frequency
+        return {"axis": _unit_vector(self.axis), "frequency": None, "angular_frequency": rate}
+
+    @property
+    def rotates(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def point_and_axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        return _point_and_axis(self.point, self.axis)
+
+    def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        assert self.angular_frequency is not None
+        angle = self.angular_frequency * self.elapsed(times) + self.phase
+        turned = self.amplitude * (np.sin(angle) - np.sin(self.phase))
+        return turned, self.amplitude * self.angular_frequency * np.cos(angle)
+
+    def top_speed(self, reach: float) -> float:
+        """|A w| reach."""
+        assert self.angular_frequency is not None
+        return abs(self.amplitude * self.angular_frequency) * reach
+
+    @property
+    def period(self) -> float:
+        """2 pi / w [s]; infinite without motion."""
+        rate = self.angular_frequency if self.amplitude else 0.0
+        return 2.0 * math.pi / rate if rate else inf
 
 
 TABLE_COLUMNS = {
@@ -638,6 +733,12 @@ class TableMotion(TimedMotion):
     def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`."""
         return self.table.at(self.elapsed(times))
+
+    def travel(self, duration: float) -> float:
+        """See `TimedMotion`: largest displacement at a row, and what the wall can move between two rows."""
+        table = self.table
+        longest = float(np.diff(table.times).max())
+        return 0.0 if self.rotates else float(np.abs(table.values).max()) + table.largest_rate * longest
 
     def top_speed(self, reach: float) -> float:
         """Largest rate of the table, times `reach` if it contains angles."""
@@ -1006,7 +1107,7 @@ class FreeWall(ForceControlledMotion):
 
 
 MotionSpec = Annotated[
-    Vibration | Translation | Rotation | TableMotion | SurfaceVelocity | Servo | FreeWall,
+    Vibration | Translation | Rotation | Oscillation | TableMotion | SurfaceVelocity | Servo | FreeWall,
     choose_by_key("kind"),
 ]
 """Any kind of motion; the key `kind` selects it."""
@@ -1057,28 +1158,68 @@ def _point_and_axis(point: Sequence[float], axis: Sequence[float]) -> tuple[np.n
     return np.asarray(point, dtype=np.float64), np.asarray(axis, dtype=np.float64)
 
 
-# The pose of a wall with several motions: at most one is a rotation, and the first can be a placement.
+# The pose of a wall with several motions, of which the first can be a placement.
+#
+# In the frame that the motions before move, a point at y is at R (y - P) + P + o in space, with the pivot P
+# of the first rotation; P has the velocity v, the frame the angular velocity w. The next motion changes them,
+# for a displacement d,
+#
+#     o += R d                        v += w x R d + R d'
+#
+# and for a rotation Q about the axis a through q with the rate r
+#
+#     o += R (1 - Q) (q - P)          v += w x R (1 - Q) (q - P) - r R a x R Q (q - P)
+#     w += r R a                      R = R Q
 
 
 def poses_at(motions: Sequence[TimedMotion], times: np.ndarray) -> Poses:
     """Pose of a wall at `times` (k,) [s], or at one time; the rest pose without motions.
 
     Force-controlled motions are ignored: the device integrates them. After a placement, the points of all
-    motions are those of the placed wall. Raises ValueError for two rotations.
+    motions are those of the placed wall.
     """
     placement = placement_of(motions)
     if placement is not None:
-        return _placed(placement, poses_at(motions[1:], times), single_rotation(motions) is not None)
+        return _placed(placement, poses_at(motions[1:], times), bool(rotations_of(motions)))
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
-    offset, velocity, surface_velocity = np.zeros((3, len(times), 3))
+    offset, velocity, surface_velocity, angular_velocity = np.zeros((4, len(times), 3))
+    rotation = np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy()
+    pivot = None
     for motion in motions:
-        displacement, rate = motion.displacement_and_rate(times)
-        offset += displacement
-        velocity += rate
         surface_velocity += motion.surface_velocity(times)
-    rotation, angular_velocity, pivot = _rotation_of(single_rotation(motions), times)
-    turned = np.einsum("kij,kj->ki", rotation, surface_velocity)
-    return Poses(offset, rotation, velocity, angular_velocity, pivot, turned)
+        if motion.rotates:
+            point, axis = motion.point_and_axis
+            angle, rate = motion.angle_and_rate(times)
+            turn = rotation_matrices(axis, angle)
+            turn_rate = np.outer(rate * motion.is_running(times), axis)
+            if pivot is None:
+                pivot, rotation, angular_velocity = point, turn, turn_rate
+                continue
+            arm = point - pivot
+            turned_arm = turn @ arm
+            shift = _turned(rotation, arm - turned_arm)
+            turn_rate = _turned(rotation, turn_rate)
+            offset += shift
+            velocity += np.cross(angular_velocity, shift)
+            velocity -= np.cross(turn_rate, _turned(rotation, turned_arm))
+            angular_velocity = angular_velocity + turn_rate
+            rotation = rotation @ turn
+        else:
+            displacement, rate = motion.displacement_and_rate(times)
+            if pivot is not None:
+                displacement = _turned(rotation, displacement)
+                rate = _turned(rotation, rate) + np.cross(angular_velocity, displacement)
+            offset += displacement
+            velocity += rate
+    turned = _turned(rotation, surface_velocity)
+    return Poses(
+        offset, rotation, velocity, angular_velocity, np.zeros(3) if pivot is None else pivot, turned
+    )
+
+
+def _turned(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (k, 3) after rotations (k, 3, 3)."""
+    return np.einsum("kij,kj->ki", rotation, vectors)
 
 
 def placement_of(motions: Sequence[TimedMotion]) -> Placement | None:
@@ -1103,15 +1244,6 @@ def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
     return replace(later, offset=offset, rotation=turned, pivot=pivot)
 
 
-def _rotation_of(motion: TimedMotion | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s], pivot (3,) [m] at `times` (k,)."""
-    if motion is None:
-        return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
-    point, axis = motion.point_and_axis
-    angle, rate = motion.angle_and_rate(times)
-    return rotation_matrices(axis, angle), np.outer(rate * motion.is_running(times), axis), point
-
-
 def placement_at(motions: Sequence[TimedMotion], time: float) -> Placement:
     """The pose of a wall with these motions at `time` [s], at which they end."""
     reached = poses_at(motions, np.array([time]))
@@ -1127,18 +1259,15 @@ def placement_at(motions: Sequence[TimedMotion], time: float) -> Placement:
     )
 
 
-def single_rotation(motions: Sequence[TimedMotion]) -> TimedMotion | None:
-    """The rotation among the motions, or None. Raises ValueError for more than one."""
-    rotations = [motion for motion in motions if motion.rotates]
-    if len(rotations) > 1:
-        raise ValueError("A wall can have at most one rotation.")
-    return rotations[0] if rotations else None
+def rotations_of(motions: Sequence[TimedMotion]) -> list[TimedMotion]:
+    """The rotations among the motions."""
+    return [motion for motion in motions if motion.rotates]
 
 
 def speed_bound(motions: Sequence[TimedMotion], reach: float) -> float:
     """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
 
-    `reach` [m]: largest distance from the axis of a rotation of geometry that moves (`Surface.reach_about`).
+    `reach` [m]: largest distance from the axis of each rotation of geometry that moves.
     Force-controlled motions and surface velocities are ignored.
     """
     bound = 0.0

@@ -15,7 +15,7 @@ from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import MotionSpec
 from granflow.scene.blocks.wear import WearSpec
 from granflow.schema import quantities as q
-from granflow.schema.faults import Fault, redundant, whole
+from granflow.schema.faults import Fault, redundant
 from granflow.schema.model import ListOf, Model, Names, Text, optional
 
 
@@ -43,8 +43,13 @@ class Wall(Model):
     stages: Names | None = optional("stages in which the wall is present", "all", examples=[["settle"]])
     motion: Annotated[tuple[MotionSpec, ...], ListOf(one=True)] = Field(
         (),
-        description="motion of the wall: one motion or a list of motions",
+        description="motion of the wall: one, or a list of motions, each in the frame of those before it",
         examples=[{"kind": "vibration", "direction": [0, 0, 1], "amplitude": "1 mm", "frequency": "25 Hz"}],
+    )
+    torque_point: q.Point | None = optional(
+        "point in space to which the torque of the particles in output.wall_forces refers [m]",
+        "the point of the first rotation of the wall; the origin without rotation",
+        examples=[[0, 0, "10 cm"]],
     )
     wear: WearSpec | None = optional(
         "law by which the particles wear the wall, whose surface does not change",
@@ -53,16 +58,13 @@ class Wall(Model):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless either times or stages are given, or if the wall has two rotations."""
+        """Yield a fault unless either times or stages are given."""
         if self.stages is not None and (self.appears_at is not None or self.vanishes_at is not None):
             yield redundant("stages", "appears_at or vanishes_at", keep="either the times or the stages")
         elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
             yield Fault(
                 ("vanishes_at",), f"the wall must vanish after it appears at {self.appears_at or 0.0:g} s"
             )
-        rotations = [i for i, motion in enumerate(self.motion) if motion.rotates]
-        for i in rotations[1:]:
-            yield whole(("motion", i), "is a second rotation; a wall has at most one")
 
     def surface(self, folder: Path) -> Surface:
         """The surface at rest. `folder`: that of the scene, to which the paths of files are relative.
