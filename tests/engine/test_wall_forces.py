@@ -30,6 +30,7 @@ def shaken_box():
     walls["high_z"]["motion"] = {
         "kind": "rotation", "point": [0.03, 0.03, 0.0], "axis": [0, 0, 1], "angular_velocity": 60.0,
     }  # fmt: skip
+    walls["low_x"]["torque_point"] = [0.01, 0.02, -0.03]
     velocity = rng.normal(0.0, 0.5, positions.shape)
     angular_velocity = rng.normal(0.0, 50.0, positions.shape)
     return build_scene(
@@ -61,12 +62,14 @@ def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
     """The leapfrog satisfies P(t) - P(0) + J = dt/2 [F(0) - F(t)] to rounding, for momentum and angular
     momentum.
 
-    Wall torques refer to the point of the wall's rotation: (x - p) x F integrates to L - p x J.
+    Wall torques refer to the point of the wall's rotation, or to a given one: (x - p) x F integrates to
+    L - p x J.
     """
     scene = shaken_box()
     snapshots = run_and_sample(scene, 0.004)
     (before, rate_before, scale), (after, rate_after, _) = (momenta(each.particles) for each in snapshots)
     impulses = np.array([[impulse[:3], impulse[3:6]] for impulse in snapshots[-1].impulses.values()])
+    impulses[0, 1] += np.cross([0.01, 0.02, -0.03], impulses[0, 0])
     impulses[-1, 1] += np.cross([0.03, 0.03, 0.0], impulses[-1, 0])
     residual = (
         after

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from scene_builders import SOFT, build_scene, particle_group, plane, run_to_end
+from scene_builders import SOFT, box, build_scene, particle_group, plane, run_to_end
+from scipy.spatial.transform import Rotation
 
 RADIUS, OVERLAP = 0.005, 1e-4
 AMPLITUDE, OMEGA, STEP, COUNT = 1e-5, 5e4, 1e-6, 31
@@ -33,3 +34,34 @@ def test_friction_uses_the_wall_velocity_in_the_middle_of_the_step(taichi_f64):
     half = 0.5 * OMEGA * STEP
     displacement = AMPLITUDE * np.sin(OMEGA * COUNT * STEP) * half / np.sin(half)
     assert last.particles["force"][0, 0] == pytest.approx(stiffness * displacement, rel=1e-3)
+
+
+def test_walls_carried_by_two_rotations_close_the_energy_budget(taichi_f64):
+    """Spheres in a box on an arm that turns about its own axis, too: they stay inside, and gain what the walls
+    work."""
+    side, center = 0.03, np.full(3, 0.015)
+    motion = [
+        {"kind": "rotation", "point": [-0.05, 0.015, 0.0], "axis": [0, 0, 1], "angular_velocity": 40.0},
+        {"kind": "rotation", "point": center.tolist(), "axis": [0, 0.6, 0.8], "angular_velocity": -70.0},
+    ]
+    positions = 0.011 * np.argwhere(np.ones((2, 2, 2))) + 0.0095
+    scene = build_scene(
+        {"balls": particle_group(positions, 0.01)},
+        walls={name: wall | {"motion": motion} for name, wall in box(side).items()},
+        pair={"restitution": 0.8, "friction": 0.3}, normal="hertz", numerics={"max_overlap": 0.3},
+        run={"duration": 0.05, "time_step": 2e-6, "velocity_max": 6.0},
+        output={"interval": 0.05, "energy_budget": True},
+    )  # fmt: skip
+    last, _ = run_to_end(scene)
+    arm = [-0.05, 0.015, 0.0]
+    found = last.particles["position"]
+    for point, axis, angle in (
+        (arm, [0, 0, 1], 40.0 * last.time),
+        (center, [0, 0.6, 0.8], -70.0 * last.time),
+    ):
+        back = np.array([Rotation.from_rotvec(-angle * np.array(axis)).apply(each - point) for each in found])
+        found = back + point
+    nearest = RADIUS * (1.0 - last.totals["overlap_largest"]) - 1e-12
+    assert found.min() >= nearest and found.max() <= side - nearest and nearest > 0.9 * RADIUS
+    assert last.totals["wall_work"] > 0.5 * last.totals["kinetic_energy"] > 0.0
+    assert abs(last.totals["energy_error"]) < 1e-3
