@@ -125,7 +125,7 @@ def test_changes_that_are_not_possible_are_refused(taichi_f64):
             walls["flor"].remove()
         for motion, message in (
             (gf.Translation(velocity=[1e4, 0.0, 0.0]), "at up to 1e.04 m/s, but at most"),
-            ("fast", "must be a Vibration, Translation, Rotation, SurfaceVelocity"),
+            ("fast", "must be a Vibration, Translation, Rotation, Oscillation, SurfaceVelocity"),
         ):
             with pytest.raises(gf.GranflowError, match=message):
                 walls["side"].motion = motion
