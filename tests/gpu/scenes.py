@@ -79,7 +79,8 @@ def mesh_floor(folder):
     write(Path("floor.stl"), *sheet(6, 0.06, bumps=0.0005))
     positions = np.argwhere(np.ones((4, 4, 2))) * 0.011 + [-0.0165, -0.0165, 0.0065]
     balls = particle_group(positions, 0.01, velocity=np.tile([0.6, 0.3, -0.5], (len(positions), 1)))
-    walls = {"floor": {"shape": "mesh", "file": "floor.stl", "material": "glass"}}
+    wear = {"law": "finnie", "coefficient": 0.1, "hardness": "1 GPa"}
+    walls = {"floor": {"shape": "mesh", "file": "floor.stl", "material": "glass", "wear": wear}}
     for name, x in (("left", -0.03), ("right", 0.0)):
         sides = [[0.03, 0, 0], [0, 0.06, 0]]
         walls[name] = {"shape": "rectangle", "corner": [x, -0.03, 0], "sides": sides, "material": "glass"}
