@@ -361,8 +361,6 @@ class NormalLaw(Law):
         **dict.fromkeys(("tangential_stiffness", "damping", "attraction"), ("number",)),
     }
     constant_names: ClassVar[tuple[str, ...]] = ("modulus_eff", "shear_modulus_eff")
-    tangential_stiffness_grows: ClassVar[bool] = True
-    """True if the tangential stiffness is proportional to the square root of the overlap."""
     branch_free: ClassVar[bool] = True
     """True if `force` has no branch, so that a CPU can evaluate contacts in SIMD batches (`engine/batch.py`).
 
@@ -401,6 +399,11 @@ class NormalLaw(Law):
     def prepares(self) -> bool:
         """Whether `prepare` changes the history."""
         return False
+
+    @property
+    def tangential_stiffness_grows(self) -> bool:
+        """Whether the tangential stiffness is proportional to the square root of the overlap."""
+        return True
 
     @property
     def softer_after_slow_onset(self) -> bool:
@@ -1020,3 +1023,9 @@ class ContactModel:
     def example(self) -> dict[str, Any]:
         """Options of a common variant in SI units, for studies of single collisions: those required."""
         return self.options(**self.required_options).model_dump(include=set(self.required_options))
+
+    @property
+    def pair_example(self) -> dict[str, Any]:
+        """Example properties of a pair in SI units, for studies of single collisions."""
+        keys = self.pair_properties.model_fields
+        return self.pair_properties(**{key: str(example_of(each)) for key, each in keys.items()}).model_dump()

@@ -29,7 +29,7 @@ from granflow.contact.law import (
     WallProperties,
 )
 from granflow.contact.material import PairMaterial
-from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
+from granflow.contact.normal import eepa, hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation, flow_field
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
@@ -189,7 +189,7 @@ def _undefined(model: ContactModel) -> Iterator[str]:
         yield f"constant_names of a normal model begins with {' and '.join(moduli)}"
 
 
-_NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)
+_NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, eepa, kuwabara_kono)
 _OTHER = (sjkr, dmt, jkr, capillary, capillary_transfer, van_der_waals, conduction)
 _SURFACE = (mindlin, linear_history, epsd, cdt, sds, viscous, marshall, torsion_spring)
 for _module in (*_NORMAL, *_SURFACE, *_OTHER):

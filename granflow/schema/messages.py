@@ -109,6 +109,8 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "dt": ("time_step",),
     "dump": ("output", "interval"),
     "e": ("young_modulus", "restitution"),
+    "edinburgh": ("eepa",),
+    "edinburghstiffness": ("eepa",),
     "en": ("restitution",),
     "epsd2": ("epsd", "sds"),
     "facet": ("mesh",),

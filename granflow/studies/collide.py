@@ -36,9 +36,9 @@ def collide(
     """Collide two spheres, or a sphere and a wall, head on. All values are in SI units.
 
     `law`: contact model; `material`, `material2`: presets; `diameter`, `diameter2` [m]; `velocity` [m/s]:
-    approach velocity. `settings` are those of the contact model as "key=value", such as "yield_ratio=2.8";
-    the example of the catalog supplies the others. `steps_per_contact`: expected duration over time step;
-    automatic time step without it.
+    approach velocity. `settings` are those of the contact model and its properties of a pair as "key=value",
+    such as "yield_ratio=2.8"; the example of the catalog supplies the others. `steps_per_contact`: expected
+    duration over time step; automatic time step without it.
 
     Returns the simulated `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m] and
     `force_max` [N]; the expected values under the same names with `_theory`, and the requested restitution
@@ -52,8 +52,11 @@ def collide(
     _refuse_unknown(law, materials)
     _refuse_unphysical(sizes, velocity, steps_per_contact)
     _refuse_restitution(law, materials, restitution)
-    pair = {"friction": 0} | _restitution_given(law, materials, restitution)
-    normal = {"law": law, **models("normal")[law].example} | _settings(settings)
+    model = models("normal")[law]
+    given = _settings(settings)
+    of_pair = {key: given.pop(key, value) for key, value in model.pair_example.items()}
+    pair = {"friction": 0} | of_pair | _restitution_given(law, materials, restitution)
+    normal = {"law": law, **model.example} | given
     radius = 0.5 * diameter
     other = None if wall else 0.5 * sizes[1]
 
@@ -368,6 +371,8 @@ def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
         return float(state[1])
 
     def released(_: float, state: np.ndarray) -> float:
+        if law.attracts:
+            return float(state[0])
         return 1.0 if force(*state) > 0.0 else -1.0
 
     stopped.terminal = released.terminal = True  # type: ignore[attr-defined]
@@ -386,5 +391,6 @@ def damped_path(plan: Plan, impact: Impact) -> dict[str, float]:
         state = course.y[:, -1]
         time = float(course.t[-1])
         overlap_max = max(overlap_max, float(course.y[0, -1]))
-        _, history = contact(float(state[0]), float(state[1]), history)
+        if event is stopped:
+            _, history = contact(float(state[0]), float(state[1]), history)
     return {"duration_theory": time, "overlap_max_theory": overlap_max, "force_max_theory": force_max}

@@ -277,6 +277,12 @@ SLOW = {
             {"law": "luding", "plasticity_depth": 0.02, "tension": 0.3, **SPRING}, "epsd", "capillary", BRIDGE
         )
     ),
+    "eepa": Row(
+        lambda: with_models(
+            {"law": "eepa", "stiffness": "hertz", "adhesion_exponent": 3.0}, "epsd", "none",
+            {"plasticity": 0.4, "work_of_adhesion": 20.0, "pull_off_force": 0.01}
+        )
+    ),
     "kuwabara_kono": Row(
         lambda: with_models({"law": "kuwabara_kono", "reference_velocity": 1.0}, "cdt", "van_der_waals", SURFACES)
     ),

@@ -63,11 +63,25 @@ def no_restitution(units):
     """No restitution: it follows from the yield strength of the material."""
 
 
-def pair_of(restitution, units):
+def no_properties(units):
+    """No properties of pairs other than those of all cases."""
+    return {}
+
+
+def adhesion(plasticity, work_of_adhesion, pull_off_force=0.0):
+    """Properties of pairs of eepa: work of adhesion [J/m2], pull-off force [N]."""
+    return lambda units: {
+        "plasticity": plasticity,
+        "work_of_adhesion": work_of_adhesion * units.newton / units.meter,
+        "pull_off_force": pull_off_force * units.newton,
+    }
+
+
+def pair_of(restitution, units, properties=no_properties):
     """The pair material of a case in the given units."""
     yield_strength = YIELD_STRENGTH * units.pascal if restitution is no_restitution else None
     elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
-    options = {"cohesion_energy_density": COHESION * units.pascal}
+    options = {"cohesion_energy_density": COHESION * units.pascal} | properties(units)
     return PairMaterial(*elastic, restitution(units), 0.0, yield_strength=yield_strength, properties=options)
 
 
@@ -82,12 +96,15 @@ class Case:
     """Whether unloading differs from loading."""
     adhesive: bool = False
     """Whether the sjkr cohesion is added, which the closed forms of the normal model do not include."""
+    pulls_off: bool = False
+    """Whether the force at zero overlap is a constant attraction, whose energy is negative."""
+    properties: Callable[[Units], dict[str, float]] = no_properties
 
     def __str__(self) -> str:
         return self.name
 
     def pair(self, units=SI):
-        return pair_of(self.restitution, units)
+        return pair_of(self.restitution, units, self.properties)
 
     def laws(self, units=SI):
         return laws_of(self, units)
@@ -102,14 +119,15 @@ def laws_of(case, units):
     return case.build(units)
 
 
-def request(name, restitution, settings=lambda units: {}):
+def request(name, restitution, settings=lambda units: {}, properties=no_properties):
     """A function that builds the model of that name with the settings of a scene."""
 
     def build(units):
         model = models("normal")[name]
-        pair = pair_of(restitution, units)
+        pair = pair_of(restitution, units, properties)
         given = model.options(**settings(units))
-        return ContactLaws((model.law.from_scene(ModelRequest(given, (pair,), units.velocity, ANGLE)),))
+        asked = ModelRequest(given, (pair,), units.velocity, ANGLE, energy_budget=True)
+        return ContactLaws((model.law.from_scene(asked),))
 
     return build
 
@@ -139,14 +157,21 @@ def plastic_to(depth, tension=0.0):
     return lambda units: spring(2e4)(units) | {"plasticity_depth": depth, "tension": tension}
 
 
+def eepa(chi, number=None):
+    """Settings of eepa: exponent of the adhesion branch, stiffness [N/m] for the exponent 1 of the overlap."""
+    spring_of = (lambda units: {"stiffness": "hertz"}) if number is None else spring(number)
+    return lambda units: spring_of(units) | {"adhesion_exponent": chi}
+
+
 def reference_velocity(velocity):
     """Settings of kuwabara_kono with a reference velocity [m/s]."""
     return lambda units: {"reference_velocity": velocity * units.velocity}
 
 
-def case(name, law, restitution, settings=lambda units: {}, **marks):
+def case(name, law, restitution, settings=lambda units: {}, properties=no_properties, **marks):
     """A case of the normal model `law`."""
-    return Case(name, request(law, restitution, settings), restitution, **marks)
+    build = request(law, restitution, settings, properties)
+    return Case(name, build, restitution, properties=properties, **marks)
 
 
 def adhesive(plain):
@@ -189,6 +214,14 @@ PLAIN = (
     case("luding_limit", "luding", number(0.6), plastic_to(0.0064), plastic=True),
     case("luding_tension", "luding", number(0.6), plastic_to(0.0128, 0.5), plastic=True),
     case("luding_elastic", "luding", number(1.0), plastic_to(0.05)),
+    case("eepa", "eepa", number(1.0), eepa(1.5), adhesion(0.4, 60.0), plastic=True),
+    case("eepa_damped", "eepa", number(0.8), eepa(3.0), adhesion(0.3, 60.0), plastic=True),
+    case("eepa_linear", "eepa", number(1.0), eepa(1.0, 2e4), adhesion(0.5, 60.0), plastic=True),
+    case(
+        "eepa_pull_off", "eepa", number(1.0), eepa(1.5), adhesion(0.4, 0.0, 0.3), plastic=True, pulls_off=True
+    ),
+    case("eepa_without_adhesion", "eepa", number(1.0), eepa(1.5), adhesion(0.4, 0.0), plastic=True),
+    case("eepa_elastic", "eepa", number(1.0), eepa(1.5), adhesion(0.0, 0.0)),
     case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
     case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
 )

@@ -120,7 +120,7 @@ def expected_restitution(case, steps):
     return found[:, None]
 
 
-UNDAMPED = ("linear", "hertz_damped", "zhou_damped", WITHOUT_REBOUND)
+UNDAMPED = ("linear", "hertz_damped", "zhou_damped", "eepa_damped", WITHOUT_REBOUND)
 """Beginnings of the names of cases whose closed form is not that of the duration."""
 
 

@@ -34,8 +34,13 @@ def choices(annotation, number):
 
 
 def variants(model, number):
-    """Laws of a record for each word and key of its choices, with every number equal to `number`."""
-    values = {key: choices(each.annotation, number) for key, each in model.options.model_fields.items()}
+    """Laws of a record for each word and key of its choices, with every number `number` above its limit or 0."""
+    values = {
+        key: choices(
+            each.annotation, number + sum(getattr(m, "at_least", None) or 0.0 for m in each.metadata)
+        )
+        for key, each in model.options.model_fields.items()
+    }
     first = {key: each[0] for key, each in values.items()}
     settings = [first, *({**first, key: value} for key, each in values.items() for value in each[1:])]
     fit = model.restitution == "number or fit"

@@ -22,8 +22,10 @@ NORMALS = {
     "walton_braun": {"law": "walton_braun", "unloading": {"reference_velocity": 1.0}, "stiffness": "onset"},
     "luding": {"law": "luding", "plasticity_depth": 0.02, "tension": 0.3, **REFERENCE},
     "luding, no tension": {"law": "luding", "plasticity_depth": 0.02, "tension": 0.0, "stiffness": "onset"},
+    "eepa": {"law": "eepa", "stiffness": "hertz", "adhesion_exponent": 3.0},
     "kuwabara_kono": {"law": "kuwabara_kono", "reference_velocity": 1.0},
 }
+ADHESION = {"plasticity": 0.4, "work_of_adhesion": 20.0, "pull_off_force": 0.01}
 
 
 def bouncing_box(law, cohesion, chunk_size):
@@ -33,6 +35,7 @@ def bouncing_box(law, cohesion, chunk_size):
     group = particle_group(positions, 0.01, velocity=rng.normal(0.0, 0.5, positions.shape))
     pair = {"friction": 0.4} | ({} if law == "thornton" else {"restitution": 0.7})
     pair |= {} if cohesion == "none" else {"cohesion_energy_density": 1e4}
+    pair |= ADHESION | {"restitution": 1.0} if law == "eepa" else {}
     return build_scene(
         {"balls": group}, walls=box(0.05), gravity=[0.0, 0.0, -9.81], pairs={"glass-glass": pair},
         contact={"normal": NORMALS[law], "tangential": "mindlin", "rolling": "none", "cohesion": cohesion},
@@ -46,6 +49,7 @@ def bouncing_box(law, cohesion, chunk_size):
     ("law", "cohesion"),
     [
         ("luding", "sjkr"),
+        ("eepa", "none"),
         pytest.param("thornton", "sjkr", marks=pytest.mark.slow),
         pytest.param("walton_braun", "sjkr", marks=pytest.mark.slow),
         pytest.param("luding, no tension", "none", marks=pytest.mark.slow),

@@ -25,7 +25,8 @@ ULPS = 4
 overlap."""
 
 HISTORY_ULPS = 12
-"""The same for each history number: e(v) amplifies the rounding of a velocity near the limit velocity."""
+"""The same for each history number: e(v) amplifies the rounding of a velocity near the limit velocity. Energies
+are sums of differences of energies: their tolerance is relative to the largest one."""
 
 
 def grid_paths(contacts, steps, seed=3):
@@ -57,7 +58,11 @@ def test_device_equals_its_numpy_reference(taichi_f64, case):
     unit = np.maximum(eps * np.maximum(found.repulsion, tangent * overlap_max), tiny)
     worst = np.max(np.abs(found.force - force) / unit)
     assert worst <= ULPS, worst
-    np.testing.assert_allclose(found.history, history, rtol=HISTORY_ULPS * eps)
+    for k, each in enumerate(case.law().history):
+        largest = np.abs(history[..., k]).max() if each.unit == "J" else 0.0
+        np.testing.assert_allclose(
+            found.history[..., k], history[..., k], rtol=HISTORY_ULPS * eps, atol=HISTORY_ULPS * eps * largest
+        )
 
 
 @every_law
@@ -72,7 +77,7 @@ def test_only_attractive_models_have_tension(taichi_f64, case):
     assert not found.force[overlap <= 0.0].any()
 
 
-@every_law
+@pytest.mark.parametrize("case", [case for case in CASES if not case.pulls_off], ids=str)
 def test_force_vanishes_at_zero_overlap(taichi_f64, case):
     tiny = 1e-9
     overlap = np.array([[3e-4, 3e-4], [3e-4 * tiny, 3e-4 * tiny]])
@@ -138,7 +143,7 @@ def test_work_equals_stored_plus_lost_energy(taichi_f64, case):
     )
     accounting = found.stored[0] + found.lost[0]
     np.testing.assert_allclose(work, accounting, atol=2e-6 * accounting.max())
-    if not case.adhesive:
+    if not (case.adhesive or case.pulls_off):
         assert np.all(found.stored >= 0.0)
     assert np.diff(found.lost[0]).min() >= -1e-12 * accounting.max()
     assert case.plastic == bool(found.lost.max() > 1e-9 * accounting.max())

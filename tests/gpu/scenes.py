@@ -18,6 +18,7 @@ LAWS = {
     "thornton": {"law": "thornton", "yield_ratio": 1.6},
     "walton_braun": {"law": "walton_braun", "unloading": {"reference_velocity": 1.0}, **SPRING},
     "luding": {"law": "luding", "plasticity_depth": 0.02, "tension": 0.3, **SPRING},
+    "eepa": {"law": "eepa", "stiffness": "hertz", "adhesion_exponent": 3.0},
     "kuwabara_kono": {"law": "kuwabara_kono", "reference_velocity": 1.0},
 }
 
@@ -57,6 +58,8 @@ def periodic_gas(**contact):
 def with_law(law):
     """The periodic gas with one normal contact model."""
     pair = {"friction": 0.3, "restitution": None if law == "thornton" else 0.7}
+    if law == "eepa":
+        pair |= {"plasticity": 0.4, "work_of_adhesion": 20.0, "pull_off_force": 0.01}
     return periodic_gas(normal=LAWS[law], pair=pair, materials={"glass": SOFT | {"yield_strength": 3e6}})
 
 

@@ -27,6 +27,7 @@ SCENES = Path(__file__).parents[2] / "scenes"
     ("walls.floor.motion={kind: wiggle}", "Did you mean vibration?"),
     ("contact.rolling=epsd2", "Did you mean epsd?"),
     ("contact.normal=hooke/hysteresis", "Did you mean luding?"),
+    ("contact.normal=edinburgh", "Did you mean eepa?"),
     ("pairs.glass-glass.en=0.8", "Did you mean restitution?"),
     ("pairs.glass-glass.xmu=0.3", "Did you mean friction?"),
     ("thermo=100", "Did you mean output?"),

@@ -32,6 +32,7 @@ UNLOADING_ANGLE = 0.5
 ADHESION = {
     "cohesion_energy_density": 1e5, "work_of_adhesion": 0.05, "surface_tension": 0.072,
     "contact_angle": 0.3, "liquid_volume": 1e-16, "hamaker_constant": 1e-19, "separation": 1e-8,
+    "plasticity": 0.5, "pull_off_force": 0.0,
 }  # fmt: skip
 """Options of a pair for the cohesion models, in SI units."""
 

@@ -79,9 +79,11 @@ def collide(law: NormalLaw, materials: PairMaterial, velocity: float) -> tuple[f
     rate = velocity
     steps = 0.5
     while True:
+        if overlap <= 0.0:
+            return -rate / velocity, steps * time_step
         force, history = law.reference_force(constants, radius, mass, time_step, overlap, rate, history)
         ends = force == 0.0 and rate < 0.0
-        if ends or overlap <= 0.0 or steps > 5 * STEPS_PER_CONTACT:
+        if ends or steps > 5 * STEPS_PER_CONTACT:
             return max(-rate, 0.0) / velocity, steps * time_step
         rate -= force / mass * time_step
         overlap += rate * time_step

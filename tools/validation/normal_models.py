@@ -28,6 +28,8 @@ STRENGTH, YIELD_RATIO = 50e6, 1.6
 """Yield strength [Pa] and ratio of the limiting pressure to it, of Thornton's model."""
 DEPTH, GIVEN = 0.01, 2e6
 """Plasticity depth, and stiffness [N/m] of the spring of Luding's model."""
+PLASTICITY, WORK = 0.5, 200.0
+"""Plasticity and work of adhesion [J/m2] of elasto-plastic adhesion, with the same spring."""
 SCHWAGER = "Schwager & Poeschel 2007, doi 10.1007/s10035-007-0065-z"
 
 
@@ -49,6 +51,8 @@ class Model:
     quantities: tuple[str, ...]
     speeds: Sequence[float] = (SPEED,)
     material: Mapping[str, float] | None = None
+    pair: Mapping[str, float] | None = None
+    """Further properties of the pair."""
 
 
 NAMES = {
@@ -104,6 +108,18 @@ def luding(e: float) -> Callable[[Pair, float], Rebound]:
     return expected
 
 
+def adhesive(pair: Pair, v: float) -> Rebound:
+    """Collisions of the linear elasto-plastic adhesion: area of loading and unloading, and of the tension.
+
+    e^2 = k1/k2 - fmin dp / (k1 dmax^2),   fmin = 3/2 pi w sqrt(2 R dp),   dp = (1 - k1/k2) dmax
+    """
+    largest = v * math.sqrt(pair.mass / GIVEN)
+    residual = PLASTICITY * largest
+    tension = 1.5 * math.pi * WORK * math.sqrt(2.0 * pair.radius * residual)
+    squared = 1.0 - PLASTICITY - tension * residual / (GIVEN * largest**2)
+    return Rebound(largest, GIVEN * largest, math.nan, math.nan, v * math.sqrt(squared))
+
+
 def plastic(pair: Pair, v: float) -> Rebound:
     """Restitution of Thornton's collision; the other numbers have no closed form."""
     return Rebound(
@@ -145,6 +161,15 @@ MODELS = {
         ("velocity", "duration", "overlap"),
         SPEEDS,
     ),
+    "eepa, linear, plasticity 0.5": Model(
+        {"law": "eepa", "stiffness": {"value": GIVEN}, "adhesion_exponent": 1},
+        1.0,
+        adhesive,
+        "Thakur et al. 2014, doi 10.1007/s10035-014-0506-4",
+        ("velocity", "overlap", "force"),
+        SPEEDS,
+        pair={"plasticity": PLASTICITY, "work_of_adhesion": WORK, "pull_off_force": 0.0},
+    ),
     "thornton": Model(
         {"law": "thornton", "yield_ratio": YIELD_RATIO},
         math.nan,
@@ -170,7 +195,11 @@ def model_cases(name: str, model: Model) -> list[ValidationCase]:
     bench = CollisionBench(
         materials={"glass": solid},
         pairs={
-            "glass-glass": {"friction": 0.0} | ({"restitution": model.restitution} if has_restitution else {})
+            "glass-glass": {
+                "friction": 0.0,
+                **({"restitution": model.restitution} if has_restitution else {}),
+                **(model.pair or {}),
+            }
         },
         contact={"normal": model.contact},
         collisions=[Collision("glass", "glass", RADIUS, RADIUS, speed) for speed in model.speeds],

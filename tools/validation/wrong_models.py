@@ -175,6 +175,9 @@ MODELS = (
      "growth = (1.0 - share) ** 2 / (2.0 * self.plasticity_depth * share)",
      "growth = 1.1 * (1.0 - share) ** 2 / (2.0 * self.plasticity_depth * "
      "share)", "normal_models:normal_model_cases"),
+    ("eepa, unloading", NORMAL + "eepa.py", "steep = self.loading(constants, contact) / (1.0 - constants.plasticity)",
+     "steep = 1.1 * self.loading(constants, contact) / (1.0 - constants.plasticity)",
+     "normal_models:normal_model_cases"),
     ("thornton, yield pressure", NORMAL + "thornton.py", "self.yield_ratio * pair.yield_strength",
      "1.1 * self.yield_ratio * pair.yield_strength", "normal_models:normal_model_cases"),
     ("kuwabara_kono, dissipation", NORMAL + "kuwabara_kono.py", "damping = constants.dissipation * k * power",

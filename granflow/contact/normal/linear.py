@@ -126,7 +126,6 @@ class SpringLaw(NormalLaw):
     """
 
     spring: Spring
-    tangential_stiffness_grows = False
 
     @property
     def spring_history(self) -> tuple[HistoryField, ...]:
@@ -134,6 +133,11 @@ class SpringLaw(NormalLaw):
         if self.spring.value is not None:
             return ()
         return (HistoryField("spring_stiffness", "spring stiffness", "N/m"),)
+
+    @property
+    def tangential_stiffness_grows(self) -> bool:
+        """The stiffness of a contact is constant."""
+        return False
 
     @property
     def prepares(self) -> bool:
