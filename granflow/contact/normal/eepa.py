@@ -11,8 +11,8 @@ the plastic contact. On the adhesion branch the plastic overlap decreases, dp^n 
 contact reloads along the line of slope k2 through the point that it has left. The branch itself remains until
 the contact is loaded beyond this line: fmin then follows the plastic overlap at that point.
 
-A contact remembers dmax, the overlap of the last loading on the first branch, and the smallest overlap x since
-then. With g = fmin/k2 and r = min(x^n / dmin^n, 1), the plastic overlap of every state is
+A contact remembers dmax, the overlap of the last loading on the first branch, and the smallest overlap x
+since then. With g = fmin/k2 and r = min(x^n / dmin^n, 1), the plastic overlap of every state is
 
     dp^n = r dmin^n + g r^(chi/n)
 
@@ -426,12 +426,12 @@ class Eepa(NormalLaw):
 
     @ti.func
     def attraction(self, constants, contact, history):
-        """kadh d^chi + f0, which the friction limit mu (F + kadh d^chi + f0) excludes (Thakur et al. 2014)."""
+        """kadh d^chi + f0; the friction limit is mu (F + kadh d^chi + f0) (Thakur et al. 2014)."""
         return self.adhesion(constants, contact, history) + self.pull_off(constants, contact)
 
     @ti.func
     def step_damping(self, constants, contact):
-        """Dashpot [N s/m] with its power of the overlap averaged over the step, as of `hertz` and `linear`."""
+        """Dashpot [N s/m], its power of the overlap averaged over the step, as `hertz` and `linear`."""
         damping = 0.0 * contact.overlap
         if ti.static(self.is_hertz):
             overlap_at, weight = _hertz_mean(contact.overlap, contact.overlap_rate, contact.time_step)
@@ -493,7 +493,7 @@ class Eepa(NormalLaw):
 
     @ti.func
     def branch_content(self, constants, limit, position):
-        """Energy [J] of the unloading line at a position of the adhesion branch, and the work that is left."""
+        """Energy [J] of the unloading line at a position of the adhesion branch, and the remaining work."""
         overlap = self.lowered(position * limit.lowest)
         tension = self.tension(constants, limit, position)
         order = constants.adhesion_power * self.exponent + 1.0
@@ -615,7 +615,7 @@ class Eepa(NormalLaw):
     def stable_stiffness(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
     ) -> float:
-        """Tangent n k2 dmax^(n - 1) [N/m] of the unloading line; the adhesion branch has no restoring force."""
+        """Tangent n k2 dmax^(n - 1) [N/m] of the unloading line; the adhesion branch restores nothing."""
         loading = self.loading_stiffness(pair, radius_eff, mass_eff, velocity)
         return loading / (1.0 - pair.properties["plasticity"])
 
@@ -632,7 +632,7 @@ class Eepa(NormalLaw):
         return self.pair_constants(pair)[-1] * math.sqrt(mass_eff * secant)
 
     def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Restitution of plastic work, adhesion and dashpot: closed form without dashpot, else by leapfrog."""
+        """Restitution of plastic work, adhesion and dashpot; with a dashpot by leapfrog."""
         if pair.restitution == 1.0:
             return self.collision(pair, radius_eff, mass_eff, velocity).restitution
         return self._integrated(pair, radius_eff, mass_eff, velocity)
@@ -697,7 +697,7 @@ class EepaOptions(Options):
         Literal["hertz"] | SpringValue,
         choose_by_first_key("it must be hertz or {value: 1e4 N/m}", words=("hertz",)),
     ] = Field(
-        description="loading stiffness k1: hertz (n = 1.5 and k1 = 4/3 E sqrt(R)) or {value: 1e4 N/m} (n = 1)",
+        description="loading stiffness k1: hertz (n = 1.5, k1 = 4/3 E sqrt(R)) or {value: 1e4 N/m} (n = 1)",
         examples=["hertz"],
     )
     adhesion_exponent: Annotated[float, Number(noun="an exponent", at_least=1, at_most=20)] = Field(
