@@ -208,7 +208,8 @@ def value_rows(
         for name in [name for name, pair in scene.pairs.items() if getattr(pair, key)][:1]:
             users = " or ".join(models.get("cohesion", ()))
             text = f" is not used, because contact.cohesion is none; {users} would use it."
-            yield ("pairs", name, key), list(models) == ["cohesion"], text
+            is_unused = "cohesion" in models and scene.contact.name("normal") not in models.get("normal", ())
+            yield ("pairs", name, key), is_unused, text
 
     rotating = [n for n, w in scene.walls.items() if any(hasattr(m, "angular_velocity") for m in w.motion)]
     for name in rotating[:1]:

@@ -273,11 +273,11 @@ def pair_properties(parts: PartialScene) -> Iterator[Fault]:
 
 
 def _is_switched_off(contact: Contact, slots: Iterable[str]) -> bool:
-    """Whether an option is one of a cohesion that is none: it is unused then, with a warning of the plan.
+    """Whether a key is one of a cohesion that is none: it is unused then, with a warning of the plan.
 
     A comparison with and without cohesion changes `contact.cohesion` only.
     """
-    return list(slots) == ["cohesion"] and contact.name("cohesion") == "none"
+    return "cohesion" in slots and contact.name("cohesion") == "none"
 
 
 def restitution(parts: PartialScene) -> Iterator[Fault]:
