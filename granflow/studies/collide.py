@@ -222,11 +222,13 @@ def _measured(bench: CollisionBench, impact: Impact) -> dict[str, float]:
     force = np.abs(force)
     plan = bench.plan
     time_step = plan.time_step
-    last = int(np.flatnonzero(force > FORCE_RESOLUTION * force.max())[-1])
+    attracts = plan.laws.normal.attracts  # a tension, however weak, acts until the surfaces separate
+    resolution = 0.0 if attracts else FORCE_RESOLUTION
+    last = int(np.flatnonzero(force > resolution * force.max())[-1])
     if last + 1 == len(force):
         raise GranflowError(
             "The collision did not end: the attraction prevents separation."
-            if plan.laws.normal.attracts
+            if attracts
             else "The collision did not end; increase --steps-per-contact."
         )
     history = history_along(plan, impact, overlap, rate, force)
@@ -234,7 +236,7 @@ def _measured(bench: CollisionBench, impact: Impact) -> dict[str, float]:
     # A viscous force vanishes while the spheres still overlap: the line through the last two forces.
     # Otherwise the surfaces separate at a constant rate.
     remaining = (overlap[last] - residual) / -rate[last]
-    if plan.features.rate_dependent and force[last - 1] > force[last]:
+    if plan.features.rate_dependent and not attracts and force[last - 1] > force[last]:
         remaining = min(time_step * force[last] / (force[last - 1] - force[last]), time_step)
     return {
         "restitution": float(-rate[last + 1] / impact[3]),

@@ -150,6 +150,12 @@ def test_collision_sticks_if_the_work_of_adhesion_exceeds_the_elastic_energy(tai
     assert all(np.isfinite(law.phase_durations(model.pair(), RADIUS, MASS, 0.1)))
 
 
+def test_contact_with_a_weak_tension_lasts_until_the_surfaces_separate(taichi_f64):
+    """With the example of the catalog the tension of steel spheres is 1e-7 of the largest force."""
+    found = collide("eepa", "stainless_316", 4e-3, 0.5, restitution=0.7, steps_per_contact=400)
+    assert found["duration"] == pytest.approx(found["duration_theory"], rel=2.5e-3)
+
+
 @pytest.mark.parametrize("restitution", [1.0, 0.8])
 def test_simulated_collision_agrees_with_the_theory_of_the_model(taichi_f64, restitution):
     """By `granflow collide`, in the engine: with settings of contact model and pair."""
