@@ -97,6 +97,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.walls.half_space import Plane as Plane
     from granflow.scene.blocks.walls.mesh import MeshWall as MeshWall
     from granflow.scene.blocks.walls.rectangle import Rectangle as Rectangle
+    from granflow.scene.blocks.walls.sphere import Sphere as Sphere
     from granflow.scene.blocks.walls.revolved import Cone as Cone
     from granflow.scene.blocks.walls.revolved import Cylinder as Cylinder
     from granflow.scene.blocks.walls.revolved import Disc as Disc

@@ -8,11 +8,14 @@ from granflow.scene.blocks.walls.half_space import Plane
 from granflow.scene.blocks.walls.mesh import MeshWall
 from granflow.scene.blocks.walls.rectangle import Rectangle
 from granflow.scene.blocks.walls.revolved import Cone, Cylinder, Disc
+from granflow.scene.blocks.walls.sphere import Sphere
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema.faults import value_error
 from granflow.schema.model import add_keys, choose_by_key, optional_key
 
-AnyWall = Annotated[Plane | Rectangle | Cylinder | Cone | Disc | BoxWall | MeshWall, choose_by_key("shape")]
+AnyWall = Annotated[
+    Plane | Rectangle | Cylinder | Cone | Disc | Sphere | BoxWall | MeshWall, choose_by_key("shape")
+]
 """A wall of any kind; the key `shape` selects it."""
 WALLS: tuple[type[Wall], ...] = get_args(get_args(AnyWall)[0])
 """The kinds of walls."""
