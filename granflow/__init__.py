@@ -97,10 +97,10 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.walls.half_space import Plane as Plane
     from granflow.scene.blocks.walls.mesh import MeshWall as MeshWall
     from granflow.scene.blocks.walls.rectangle import Rectangle as Rectangle
-    from granflow.scene.blocks.walls.sphere import Sphere as Sphere
     from granflow.scene.blocks.walls.revolved import Cone as Cone
     from granflow.scene.blocks.walls.revolved import Cylinder as Cylinder
     from granflow.scene.blocks.walls.revolved import Disc as Disc
+    from granflow.scene.blocks.walls.sphere import Sphere as Sphere
     from granflow.scene.blocks.wear import ArchardWear as ArchardWear
     from granflow.scene.blocks.wear import FinnieWear as FinnieWear
     from granflow.scene.blocks.wear import RelativeWear as RelativeWear
@@ -198,6 +198,7 @@ _LOCATIONS = {
     "SizeClass": "granflow.scene.blocks.sizes.SizeClass",
     "SlidingMetric": "granflow.scene.blocks.metrics.SlidingMetric",
     "Snapshot": "granflow.snapshot.Snapshot",
+    "Sphere": "granflow.scene.blocks.walls.sphere.Sphere",
     "Stage": "granflow.scene.blocks.run.Stage",
     "StageCondition": "granflow.scene.blocks.run.StageCondition",
     "StopRun": "granflow.errors.StopRun",

@@ -14,6 +14,7 @@ from granflow.scene.blocks.walls.kinds import WALLS
 from granflow.scene.blocks.walls.mesh import MeshWall
 from granflow.scene.blocks.walls.rectangle import rectangle
 from granflow.scene.blocks.walls.revolved import cone, cylinder, disc
+from granflow.scene.blocks.walls.sphere import sphere
 from granflow.scene.reference import example_of, keys
 
 NUMPY_TYPES = {ti.f64: np.float64, ti.f32: np.float32}
@@ -28,6 +29,7 @@ SHAPES = {
     "cone": cone([0.0, 0.1, -0.5], [0.2, 0.3, 0.5], 0.1, 0.7),
     "cone_with_tip": cone([0.0, 0.0, 0.0], [0.7, 0.0, 0.0], 0.0, 0.6),
     "disc": disc([0.1, -0.1, 0.2], TILTED, 0.8),
+    "sphere": sphere([0.1, -0.1, 0.2], 0.7),
     "disc_with_hole": disc([0.1, -0.1, 0.2], [0.0, 1.0, 0.0], 0.8, 0.3),
 }
 

@@ -65,7 +65,7 @@ class SphericalShell(AnalyticSurface):
     def contact(point, numbers):
         """Distance [m] from the shell, and the unit vector toward the point.
 
-            d = | |x - c| - R |,    n = +- (x - c) / |x - c|, outward for a point outside
+        d = | |x - c| - R |,    n = +- (x - c) / |x - c|, outward for a point outside
         """
         outward = SphericalShell.face_normal(point, numbers)
         height = (point - numbers.center).norm() - numbers.radius
