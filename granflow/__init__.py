@@ -85,6 +85,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.run import RunSettings as RunSettings
     from granflow.scene.blocks.run import Stage as Stage
     from granflow.scene.blocks.run import StageCondition as StageCondition
+    from granflow.scene.blocks.settings import StageSetting as StageSetting
     from granflow.scene.blocks.sizes import ClassSizes as ClassSizes
     from granflow.scene.blocks.sizes import LogNormalSizes as LogNormalSizes
     from granflow.scene.blocks.sizes import NormalSizes as NormalSizes
@@ -201,6 +202,7 @@ _LOCATIONS = {
     "Sphere": "granflow.scene.blocks.walls.sphere.Sphere",
     "Stage": "granflow.scene.blocks.run.Stage",
     "StageCondition": "granflow.scene.blocks.run.StageCondition",
+    "StageSetting": "granflow.scene.blocks.settings.StageSetting",
     "StopRun": "granflow.errors.StopRun",
     "SurfaceVelocity": "granflow.scene.blocks.motions.SurfaceVelocity",
     "TableMotion": "granflow.scene.blocks.motions.TableMotion",

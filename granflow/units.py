@@ -130,6 +130,7 @@ DIMENSIONS: dict[str, Dimension] = {
         "50 W/m/K",
         _unit_table("W/m/K 1, W/(m*K) 1, mW/m/K 1e-3, mW/(m*K) 1e-3"),
     ),
+    "power": Dimension("a power", "1 W", _unit_table("W 1, kW 1e3, mW 1e-3, uW 1e-6")),
     "heat_flux": Dimension("a heat flux", "1 kW/m2", _unit_table("W/m2 1, W/m^2 1, W/m² 1, kW/m2 1e3")),
 }
 """Dimensions by name; the first unit of each is the SI unit."""

@@ -105,12 +105,30 @@ class Flow:
                         `wall_properties`
     from_surroundings:  what has flowed from the surroundings since the start, a total of a scene whose model
                         has some
+    source:             what can be added to the sum of each particle
     """
 
     unit: str
     meaning: str
     from_walls: Quantity | None = None
     from_surroundings: Quantity | None = None
+    source: "Source | None" = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source of a flow in each particle, such as a reaction that releases heat.
+
+    name, meaning:  of the property of the particles, whose unit is that of the flow; it is a key of groups
+                    and of settings of stages
+    type:           type of the value; 0 unless given
+    total:          what all sources have given since the start, a total of a scene that has some
+    """
+
+    name: str
+    meaning: str
+    type: Number
+    total: Quantity
 
 
 @dataclass(frozen=True)
@@ -858,6 +876,12 @@ class HeatLaw(Law):
                 "",
                 "J",
                 "heat that the surroundings have given to the particles since the start",
+            ),
+            Source(
+                "heat_source",
+                "heat released in the particle",
+                Number("power"),
+                Quantity("source_heat", "", "J", "heat released in the particles since the start"),
             ),
         )
     }

@@ -12,6 +12,7 @@ is one file, and an entry of the list in `granflow.contact.registry`; a program 
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -38,7 +39,7 @@ class ParticleEquation(DeviceObject):
     flows:                  names of the flows whose sums the rate reads
     material_properties:    class of the keys of a material that the rate reads
     content:                what changes with the property and is conserved, such as heat: a total of
-                            snapshots, see `capacity`, with the mean NAME_mean; None: no totals
+                            snapshots, see `capacity` and `totals`; None: no totals
     """
 
     name: ClassVar[str]
@@ -80,11 +81,18 @@ class ParticleEquation(DeviceObject):
 
     @property
     def totals(self) -> tuple[Quantity, ...]:
-        """The content of all particles, and the mean of the property, weighted by the capacity."""
+        """The mean of the property, weighted by the capacity; the content of all particles; what stages and
+        programs have added to the content because they have set the property."""
         if self.content is None:
             return ()
         mean = Quantity(f"{self.name}_mean", self.symbol, self.unit, f"{self.meaning}, mean by its capacity")
-        return mean, self.content
+        added = replace(
+            self.content,
+            name=f"{self.content.name}_set",
+            symbol="",
+            meaning=f"{self.content.meaning}: part added where a stage or a program has set the {self.name}",
+        )
+        return mean, self.content, added
 
     @property
     def material_keys(self) -> tuple[str, ...]:
@@ -109,6 +117,19 @@ class ParticleEquation(DeviceObject):
             block="motion",
             of_ghosts=True,
         )
+
+
+def source_field(name: str, unit: str, meaning: str) -> FieldSpec:
+    """A source of a flow in each particle as a field, of scenes that have one."""
+    return FieldSpec(
+        name,
+        "",
+        unit,
+        meaning,
+        file_type="float64",
+        dtype="f64",
+        condition=lambda features: name in features.sources,
+    )
 
 
 def flow_field(name: str, unit: str, meaning: str) -> FieldSpec:

@@ -24,13 +24,14 @@ from granflow.contact.law import (
     NormalLaw,
     Options,
     PairProperties,
+    Source,
     SurfaceLaw,
     TangentialLaw,
     WallProperties,
 )
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal import eepa, hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
-from granflow.contact.particle_equation import MaterialProperties, ParticleEquation, flow_field
+from granflow.contact.particle_equation import MaterialProperties, ParticleEquation, flow_field, source_field
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
@@ -52,6 +53,9 @@ def add(model: ContactModel) -> None:
             fields.WALL_FLOW_QUANTITIES[each.from_walls.name] = each.from_walls
         if each.from_surroundings is not None:
             fields.add_total(each.from_surroundings)
+        if each.source is not None:
+            fields.add(source_field(each.source.name, each.unit, each.source.meaning))
+            fields.add_total(each.source.total)
     _MODELS[model.slot][model.name] = model
 
 
@@ -61,12 +65,14 @@ def remove(model: ContactModel) -> None:
     others = {name for slot in _MODELS.values() for other in slot.values() for name in other.law.flows}
     for name in set(model.law.flows) - others:
         fields.remove(name)
-        from_walls = model.law.flows[name].from_walls
-        if from_walls is not None:
-            del fields.WALL_FLOW_QUANTITIES[from_walls.name]
-        from_surroundings = model.law.flows[name].from_surroundings
-        if from_surroundings is not None:
-            fields.remove_total(from_surroundings)
+        flow = model.law.flows[name]
+        if flow.from_walls is not None:
+            del fields.WALL_FLOW_QUANTITIES[flow.from_walls.name]
+        if flow.from_surroundings is not None:
+            fields.remove_total(flow.from_surroundings)
+        if flow.source is not None:
+            fields.remove(flow.source.name)
+            fields.remove_total(flow.source.total)
 
 
 def models(slot: str) -> Mapping[str, ContactModel]:
@@ -222,6 +228,17 @@ def equations() -> tuple[ParticleEquation, ...]:
     return tuple(_EQUATIONS.values())
 
 
+def sources() -> dict[str, tuple[str, Source]]:
+    """Sources of the flows of all registered models by name, each with the name of its flow."""
+    laws = [model.law for slot in _MODELS.values() for model in slot.values()]
+    return {
+        flow.source.name: (name, flow.source)
+        for law in laws
+        for name, flow in law.flows.items()
+        if flow.source is not None
+    }
+
+
 def equations_with(flows: tuple[str, ...]) -> tuple[ParticleEquation, ...]:
     """The equations that act if contact models have these flows."""
     return tuple(each for each in _EQUATIONS.values() if each.acts_with(flows))
@@ -325,6 +342,12 @@ class ContactLaws:
     def of_surroundings(self) -> tuple[str, Law] | None:
         """Slot and law with which particles exchange something with their surroundings."""
         return next((each for each in self.by_slot.items() if each[1].has_surroundings), None)
+
+    @property
+    def sources(self) -> Mapping[str, Source]:
+        """Sources of the particles by flow."""
+        found = {name: each.source for law in self.laws for name, each in law.flows.items()}
+        return {name: each for name, each in found.items() if each is not None}
 
     @property
     def of_losses(self) -> Law | None:

@@ -30,6 +30,7 @@ from granflow.engine.host import (
     write_particles,
 )
 from granflow.engine.particle_forces import write_damping
+from granflow.engine.settings import apply_settings
 from granflow.engine.state import FreedState, State, mobility_mask
 from granflow.engine.state_cache import return_state, take_state
 from granflow.engine.statistics import ContactOutput, ContactStatistics, MaxImpactVelocity
@@ -111,7 +112,7 @@ class Engine:
         self._return_state.atexit = False
         self.stepper = self._new_stepper()
         self.timing = self.stepper.timing
-        self.accounting = Accounting(outlets={name: [0.0, 0.0] for name in plan.scene.outlets})
+        self.accounting = self._new_accounting()
         self.stability_monitor = StabilityMonitor(plan)
         self.steps_since_update = 0
         self._gravity = np.array(plan.scene.gravity)
@@ -128,6 +129,14 @@ class Engine:
         """The stepper of the state."""
         kind = Stepper if self.state.backend.on_cpu else GpuStepper
         return kind(self.state, self._on_deleted)
+
+    def _new_accounting(self) -> Accounting:
+        """The accounting before any particle is inserted."""
+        scene = self.plan.scene
+        return Accounting(
+            outlets={name: [0.0, 0.0] for name in scene.outlets},
+            contents_set={each.name: 0.0 for each in scene.equations},
+        )
 
     # Time and status.
 
@@ -228,7 +237,7 @@ class Engine:
             row.fill(0)
         if time_step is not None:
             state.clock.change(time_step)
-        self.accounting = Accounting(outlets={name: [0.0, 0.0] for name in self.plan.scene.outlets})
+        self.accounting = self._new_accounting()
         self._velocities_lag = False
         self.energy_before_change = None
         self._stopping_change = None
@@ -257,6 +266,15 @@ class Engine:
         """Set the stage, which may have damping; takes effect with the next forces."""
         self._stage = stage
         write_damping(self.state, stage)
+
+    def apply_settings(self, stage: str) -> list[int]:
+        """Set the properties that particles take at the start of a stage; returns the number of particles to
+        which each setting applies.
+
+        The next `refresh` computes what flows then.
+        """
+        settings = next(each.set_ for each in self.plan.stages if each.name == stage)
+        return apply_settings(self.state, self.accounting, settings)
 
     def begin_change(self) -> None:
         """Prepare a change of the particles: shift all velocities to the time of the positions.

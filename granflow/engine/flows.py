@@ -15,6 +15,7 @@ from granflow.engine.state import State
 from granflow.engine.sums import build_to_grid, carried, exact_totals, shares_rows, to_units
 from granflow.engine.walls import Faces
 from granflow.kernel_language import ti
+from granflow.plan.arrays import FURTHER_GIVERS
 from granflow.plan.sum_units import CARRY_BITS, SUM_BITS
 
 
@@ -66,6 +67,12 @@ class Flows:
             for name, field in ((key, value), (f"{key}_given", given))
         ]
         self.surroundings = state.capacities.walls
+        self.source_place = state.capacities.walls + 1
+        self.sources = [
+            (self.wall_term[flow], getattr(self.particles, source.name), *self._sums_of((flow,))[0][1:])
+            for flow, source in state.plan.sources.items()
+        ]
+        self.has_sources = bool(self.sources)
         self.has_surroundings = laws.of_surroundings is not None
         self.surroundings_law: Any = None
         if laws.of_surroundings is not None:
@@ -97,7 +104,7 @@ class Flows:
 
     @ti.func
     def begin(self, chunk, i, time_step):
-        """Begin the sums of particle i with what its surroundings give.
+        """Begin the sums of particle i with its sources, and with what its surroundings give.
 
         time_step:  as of a normal model [s]
 
@@ -106,6 +113,11 @@ class Flows:
         """
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
+        for k, source, field, shift in ti.static(self.sources):
+            flow = self.to_grid(source[i], shift())
+            field[i] = field[i] + flow
+            given = ti.cast(time_step, ti.f64) * flow
+            self._add_to_wall(chunk, self.source_place, k, given, True)
         if ti.static(self.has_surroundings):
             self._add_surroundings(chunk, i, time_step)
 
@@ -268,6 +280,8 @@ class Flows:
                     self._carry(chunk, w)
                 if ti.static(self.has_surroundings):
                     self._carry(chunk, self.surroundings)
+                if ti.static(self.has_sources):
+                    self._carry(chunk, self.source_place)
 
     @ti.func
     def _carry(self, row, w):
@@ -290,12 +304,12 @@ def build_withdraw(state: State) -> Any:
     """
     control = state.control
     rows = state.capacities.wall_rows
-    walls = state.capacities.walls + 1
+    places = state.capacities.walls + FURTHER_GIVERS
 
     @ti.kernel
     def withdraw():
         for row in range(rows):
-            for w in range(walls):
+            for w in range(places):
                 control.wall_flows[row, w] = control.wall_flows[row, w] - control.wall_flows_ahead[row, w]
                 control.wall_flows_ahead[row, w] = 0 * control.wall_flows_ahead[row, w]
 
@@ -303,8 +317,8 @@ def build_withdraw(state: State) -> Any:
 
 
 def wall_flow_totals(state: State) -> dict[str, float]:
-    """Integral of each flow since the start, of each wall that gives it, QUANTITY.WALL, and of the
-    surroundings."""
+    """Integral of each flow since the start, of each wall that gives it, QUANTITY.WALL, of the surroundings
+    and of sources."""
     plan = state.plan
     if not plan.wall_flows:
         return {}
@@ -324,4 +338,8 @@ def wall_flow_totals(state: State) -> dict[str, float]:
         for flow, total in zip(plan.wall_flows, totals, strict=True):
             quantity = law.flows[flow].from_surroundings if flow in law.flows else None
             found |= {quantity.name: total} if quantity is not None else {}
+    totals = exact_totals(sums[:, state.capacities.walls + 1], units).tolist()
+    for flow, total in zip(plan.wall_flows, totals, strict=True):
+        if flow in plan.sources:
+            found[plan.sources[flow].total.name] = total
     return found

@@ -543,7 +543,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         "velocity": new.velocity,
         "angular_velocity": new.angular_velocity,
     }
-    for name, values in plan.initial_values.items():
+    for name, values in (plan.initial_values | plan.initial_sources).items():
         arrays[name] = np.array(values)[new.group]
     if plan.features.liquid_transfer:
         arrays["liquid_film"] = _films(plan, new)

@@ -606,8 +606,8 @@ class Control(Fields):
     law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk, see `engine.sums`
     impulses:                   time integrals of the wall forces of each chunk, see `engine.sums`
-    wall_flows:                 time integrals of the flows of walls, and in the last place of the
-                                surroundings, see `engine.flows`
+    wall_flows:                 time integrals of the flows of walls, and in the last places of the
+                                surroundings and of sources, see `engine.flows`
     wall_flows_ahead:           part of them that belongs to the next step
     wear:                       worn volume and works of each worn face, see `engine.wear`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.contact.particle_equation import ParticleEquation
 from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
 from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
 from granflow.engine.flows import wall_flow_totals
@@ -64,6 +65,8 @@ class Accounting:
     removed_kinetic_energy: float = 0.0
     energy_put_in: float = 0.0
     """Largest energy input [J] at all observations so far; see `energy_input`."""
+    contents_set: dict[str, float] = field(default_factory=dict)
+    """Content that stages and programs have added because they have set a property, by particle equation."""
     outlets: dict[str, list[float]] = field(default_factory=dict)
     """Count and mass [kg] of the particles deleted by each outlet."""
     exits: dict[str, int] = field(default_factory=lambda: dict.fromkeys(EXIT_FACES, 0))
@@ -141,8 +144,8 @@ class Accounting:
 
 BY_ID = {"material": np.int32, "group": np.int32, "insertion_time": np.float64}
 """Types of the arrays of Accounting that have an entry for every particle id."""
-BY_NAME = ("outlets", "exits")
-"""Attributes of Accounting that have an entry for each outlet and each face of the domain."""
+BY_NAME = ("outlets", "exits", "contents_set")
+"""Attributes of Accounting that have an entry for each outlet, face of the domain, or particle equation."""
 SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.type in (int, float)}
 """Type of each count, mass and energy of Accounting by name."""
 
@@ -204,7 +207,7 @@ def totals_of(
         totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
     if accounting.queued_count is not None:
         totals["queued_count"] = float(accounting.queued_count)
-    totals |= {**sums.contents, **wall_flow_totals(state)}
+    totals |= {**sums.contents, **_contents_set(plan, accounting), **wall_flow_totals(state)}
     for name, (outlet_count, outlet_mass) in accounting.outlets.items():
         totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
     if plan.features.energy_budget:
@@ -417,25 +420,42 @@ def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) 
              with heat of losses loss_heat (n,)
     """
     found: dict[str, float] = {}
-    mass = arrays["mass"].astype(float)
-    material = arrays.get("material", np.zeros(len(mass), int))
     for equation in plan.scene.equations:
         if equation.content is None:
             continue
-        by_material = [plan.material_constants(equation, name) for name in plan.materials]
-        constants = {
-            key: np.array([each[key] for each in by_material])[material] for key in equation.material_keys
-        }
-        capacity = equation.capacity(constants, mass)
+        capacity = capacity_of(plan, equation, arrays)
         content = exact_sum(capacity * arrays[equation.name], ranks)
         law = plan.laws.of_losses
         if law is not None and law.loss_flow in equation.flows:
             units = ranks.total(np.array([arrays["loss_heat"].astype(object).sum()], float))
             content += float(units[0]) * plan.loss_heat_unit
         total = exact_sum(capacity, ranks)
-        mean, content_total = equation.totals
+        mean, content_total, _ = equation.totals
         found |= {mean.name: content / total if total else np.nan, content_total.name: content}
     return found
+
+
+def capacity_of(plan: Plan, equation: ParticleEquation, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Ratio (n,) of the content of particles to the property of an equation.
+
+    arrays:  mass (n,) [kg], with several materials material (n,), in the plan
+    """
+    mass = arrays["mass"].astype(float)
+    material = arrays.get("material", np.zeros(len(mass), int))
+    by_material = [plan.material_constants(equation, name) for name in plan.materials]
+    constants = {
+        key: np.array([each[key] for each in by_material])[material] for key in equation.material_keys
+    }
+    return equation.capacity(constants, mass)
+
+
+def _contents_set(plan: Plan, accounting: Accounting) -> dict[str, float]:
+    """What has been added to the content of each equation where its property has been set."""
+    return {
+        each.totals[2].name: accounting.contents_set[each.name]
+        for each in plan.scene.equations
+        if each.totals
+    }
 
 
 def largest_speed(velocity: np.ndarray) -> float:

@@ -16,6 +16,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from granflow.arguments import shown
 from granflow.engine.engine import Engine
 from granflow.engine.host import present_indices, remove_particles, write_particles
+from granflow.engine.settings import set_property
 from granflow.errors import GranflowError
 from granflow.geometry.sphere import sphere_mass
 from granflow.particles.group import ParticleData, SceneGroup
@@ -393,6 +394,11 @@ class LiveParticles:
             present = np.asarray(getattr(self, name))
             compared = values
         rows = np.flatnonzero((present != compared).reshape(len(present), -1).any(axis=1))
+        if name in engine.accounting.contents_set:
+            set_property(
+                engine.state, engine.accounting, name, present_indices(engine.state)[rows], values[rows]
+            )
+            return
         arrays = {name: values, **others}
         write_particles(
             engine.state,

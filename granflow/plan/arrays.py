@@ -171,6 +171,10 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
     ]
 
 
+FURTHER_GIVERS = 2
+"""Places behind those of the walls in sums of flows: the surroundings, and the sources in the particles."""
+
+
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
     """Sums of each chunk, for the energy budget, wall forces and collisions, and the wear of walls.
 
@@ -184,6 +188,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     classes = 2 * plan.capacities.energy_classes
     wall_flows = len(plan.wall_flows)
     worn = plan.capacities.wear_rows
+    givers = (wall_rows, plan.capacities.walls + FURTHER_GIVERS)
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
     has_wall_work = energy_budget and plan.features.moving_walls
@@ -199,8 +204,8 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         sums("external_work", (chunks,), 1, has_external_work),
         sums("collisions", (wall_rows, classes), 1, classes > 0),
         sums("wear", (1, worn), WEAR_SIZE, worn > 0),
-        sums("wall_flows", (wall_rows, plan.capacities.walls + 1), wall_flows, wall_flows > 0),
-        sums("wall_flows_ahead", (wall_rows, plan.capacities.walls + 1), wall_flows, wall_flows > 0),
+        sums("wall_flows", givers, wall_flows, wall_flows > 0),
+        sums("wall_flows_ahead", givers, wall_flows, wall_flows > 0),
     ]
 
 

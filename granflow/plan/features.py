@@ -53,6 +53,8 @@ class Features:
     """Whether velocities in float32 keep what rounding takes from their changes."""
     flows: tuple[str, ...] = ()
     """What flows through contacts and is summed for each particle; particle equations read the sums."""
+    sources: tuple[str, ...] = ()
+    """Sources of flows in each particle that a group or a stage of the scene has."""
     loss_heat: bool = False
     """Whether the losses of contacts become heat of the particles."""
     wear: bool = False
@@ -269,6 +271,14 @@ def _rows(
         why = f"through the contacts of {', '.join(dict.fromkeys(flows.values()))}"
         changed = [each.name for each in registry.equations_with(tuple(flows))]
         yield "flows", tuple(flows), why + (f"; they change the {' and '.join(changed)}" if changed else "")
+    sources = {
+        source.name: scene.where(*scene.places_of(source.name)[0])
+        for model in models.values()
+        for flow in model.law.flows.values()
+        if (source := flow.source) is not None and scene.places_of(source.name)
+    }
+    if sources:
+        yield "sources", tuple(sources), f"given in {', '.join(sources.values())}"
     if getattr(scene.contact.options("heat"), "from_dissipation", False):
         place = where("contact", "heat", "from_dissipation")
         yield "loss_heat", True, f"contact.heat.from_dissipation is true ({place})"

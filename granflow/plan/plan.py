@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from granflow.contact.law import Source
 from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import ParticleEquation
 from granflow.contact.registry import ContactLaws
@@ -476,11 +477,20 @@ class Plan:
         }
 
     @cached_property
+    def initial_sources(self) -> dict[str, tuple[float, ...]]:
+        """Sources of flows in the particles of each group, by name."""
+        return {
+            each.name: tuple(getattr(group.spec, each.name) or 0.0 for group in self.groups)
+            for each in self.sources.values()
+        }
+
+    @cached_property
     def value_ranges(self) -> dict[str, tuple[float, float]]:
-        """Smallest and largest initial value of these properties, and of walls that have one."""
+        """Smallest and largest value of these properties, of groups, stages and walls that have one."""
         found = {}
         for name, values in self.initial_values.items():
-            given = (*values, *(each for each in self.wall_values.get(name, ()) if each is not None))
+            of_walls = (each for each in self.wall_values.get(name, ()) if each is not None)
+            given = (*values, *self.scene.values_set(name), *of_walls)
             found[name] = min(given), max(given)
         return found
 
@@ -517,14 +527,25 @@ class Plan:
             self.scene.numerics.intended_overlap,
             self.value_ranges,
             self.wall_value_ranges,
+            {flow: self._largest_source(source.name) for flow, source in self.sources.items()},
         )
 
     @cached_property
+    def sources(self) -> dict[str, Source]:
+        """Sources of the scene by flow."""
+        given = self.laws.sources.items()
+        return {flow: source for flow, source in given if source.name in self.features.sources}
+
+    def _largest_source(self, name: str) -> float:
+        """Largest magnitude of a source in a particle."""
+        given = (*self.initial_sources[name], *self.scene.values_set(name))
+        return max(map(abs, given), default=0.0)
+
+    @cached_property
     def wall_flows(self) -> tuple[str, ...]:
-        """Flows that are summed for each wall, and for the surroundings; empty without walls that have one,
-        and without surroundings."""
+        """Flows that are summed for each wall, for the surroundings and for sources; empty without any."""
         given = any(each is not None for values in self.wall_values.values() for each in values)
-        given = given or self.laws.of_surroundings is not None
+        given = given or self.laws.of_surroundings is not None or bool(self.sources)
         return tuple(self.laws.flows_from_walls) if given else ()
 
     @cached_property

@@ -157,10 +157,13 @@ def flow_units(
     max_overlap: float,
     values: Mapping[str, tuple[float, float]],
     wall_values: Mapping[str, tuple[float, float]],
+    sources: Mapping[str, float],
 ) -> dict[str, float]:
-    """Unit of each sum of `laws.flows`, a power of two: the largest flow of a contact over 2^FORCE_BITS.
+    """Unit of each sum of `laws.flows`, a power of two: the largest flow of a contact, or of a source, over
+    2^FORCE_BITS.
 
     values, wall_values:  as of `FlowCase`
+    sources:              largest magnitude of a source of each flow that has one
     """
     found = {}
     for name in laws.flows:
@@ -175,7 +178,7 @@ def flow_units(
             if name in law.flows
             for case in pair_cases
         ]
-        found[name] = _power_of_two(max(*bounds, TINY)) / 2.0**FORCE_BITS
+        found[name] = _power_of_two(max(*bounds, sources.get(name, 0.0), TINY)) / 2.0**FORCE_BITS
     return found
 
 

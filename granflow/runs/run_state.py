@@ -1,6 +1,8 @@
 """The complete state of a run, except for its scene: what a checkpoint contains."""
 
+import logging
 import time as clock
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from math import inf
@@ -105,7 +107,7 @@ class RunState:
             self.is_unobserved = True
 
     def begin_stage(self, stage: Stage) -> None:
-        """Begin a stage: place its walls, insert due particles, compute the forces."""
+        """Begin a stage: place its walls, insert due particles, set their properties, compute the forces."""
         self.prepare()
         progress = self.progress
         engine = self.engine
@@ -114,6 +116,9 @@ class RunState:
         progress.set_walls(engine)
         self.insertion.insert_due(engine)
         engine.refresh()
+        if stage.set_:
+            _warn_of_no_particles(stage, engine.apply_settings(stage.name), engine)
+            engine.refresh()
         progress.servos.begin(engine, stage.longest)
         progress.conditions.begin(stage, engine.time)
 
@@ -184,6 +189,21 @@ class RunState:
             progress.changes = tuple(time for time in times if not engine.reached(time))
             progress.set_walls(engine)
             engine.refresh()
+
+
+def _warn_of_no_particles(stage: Stage, counts: Sequence[int], engine: Engine) -> None:
+    """Warn of settings of a stage that apply to no particle, with the number of particles of each."""
+    scene = engine.plan.scene
+    number = [each.name for each in engine.plan.stages].index(stage.name)
+    for index, count in enumerate(counts):
+        if not count:
+            place = scene.locate("stages", number, "set", index)
+            logging.getLogger("granflow").warning(
+                "stage %s (%s): none of the %d particles is in the groups and the region of the setting.",
+                stage.name,
+                place,
+                engine.particle_count,
+            )
 
 
 @dataclass(frozen=True)

@@ -407,19 +407,17 @@ def liquid_content(parts: PartialScene) -> Iterator[Fault]:
 def equation_values(parts: PartialScene) -> Iterator[Fault]:
     """A particle equation requires an initial value of each group, and its keys of their materials.
 
-    Clumps are not supported, and earlier runs have no values. An initial value for an equation that does not
-    act would have no effect.
+    Clumps are not supported, and earlier runs have no values. A value for an equation that does not act would
+    have no effect, nor would a source of a flow that no model has.
     """
     scene = parts.scene
-    known = registry.equations_of(scene.chosen_models.values())
-    for equation in registry.equations():
-        for name in scene.particles if equation not in known else ():
-            if getattr(scene.particles[name], equation.name) is not None:
-                flows = alternatives(equation.flows)
-                reason = f"has no effect: no contact model of this scene has the flow {flows} that changes it"
-                yield whole(
-                    ("particles", name, equation.name), f"{reason}; remove it, or select such a model"
-                )
+    present = {name for model in scene.chosen_models.values() for name in model.law.flows}
+    needed = {each.name: each.flows for each in registry.equations()}
+    for name, flows in (needed | {name: (flow,) for name, (flow, _) in registry.sources().items()}).items():
+        for path in scene.places_of(name) if not present.issuperset(flows) else ():
+            missing_flow = f"no contact model of this scene has the flow {alternatives(flows)}"
+            reason = f"has no effect: {missing_flow}{' that changes it' if name in needed else ''}"
+            yield whole(path, f"{reason}; remove it, or select such a model")
     for equation in scene.equations:
         for name, group in scene.particles.items():
             if getattr(group, equation.name) is None:
@@ -812,6 +810,14 @@ def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
             yield Fault(path, f"{name} is of kind {known[name].kind}; its quantities are {numbers}")
 
 
+def stage_settings(parts: PartialScene) -> Iterator[Fault]:
+    """Settings of stages name existing groups."""
+    for number, stage in enumerate(parts.scene.stages):
+        for index, setting in enumerate(stage.set_):
+            path: KeyPath = ("stages", number, "set", index, "groups")
+            yield from unknown_names(path, setting.groups, parts.names("particles"), "group of particles")
+
+
 def condition_columns(parts: PartialScene) -> Iterator[Fault]:
     """Conditions of stages must refer to columns of the time series, not to results of the whole run."""
     for number, stage in enumerate(parts.scene.stages):
@@ -882,7 +888,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("domain", "particles", "output"), lees_edwards),
     (("domain", "run", "output"), unsupported_shapes),
     (("contact",), liquid_content),
-    (("contact", "pairs"), equation_values),
+    (("contact", "pairs", "stages"), equation_values),
     (("contact",), wall_values),
     (("particles", "materials"), wear_materials),
     (("contact", "output"), heat_options),
@@ -894,6 +900,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("output", "expect", "stages", "contact"), expected_parts),
     (("output", "expect", "stages"), expected_metrics),
     (("output", "expect", "stages"), wall_forces),
+    (("stages",), stage_settings),
     (("stages", "walls"), condition_columns),
 )
 """Sections that must be complete, and the check that needs them."""

@@ -13,7 +13,7 @@ from granflow.contact.particle_equation import ParticleEquation
 from granflow.device_functions import run_time_branches, source_lines
 from granflow.errors import GranflowError
 from granflow.scene import checks, reference
-from granflow.scene.blocks import contact, materials, metrics, output, particles
+from granflow.scene.blocks import contact, materials, metrics, output, particles, run, settings
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.walls import kinds
 from granflow.schema.model import Model
@@ -157,12 +157,15 @@ def _use_registry() -> None:
     materials.use_registry()
     output.use_metrics()
     particles.use_registry()
+    settings.use_registry()
     kinds.use_registry()
     blocks: list[type[Model]] = [
         contact.Contact,
         materials.Material,
         *kinds.WALLS,
         particles.Group,
+        settings.StageSetting,
+        run.Stage,
         materials.MaterialPair,
         output.Output,
         SceneInput,

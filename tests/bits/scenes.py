@@ -168,6 +168,12 @@ def conducting() -> Scene:
     scene["walls"]["floor"]["temperature"] = 400.0
     scene["walls"]["low_x"]["heat_flux"] = 1e3
     scene["walls"]["floor"]["wear"] = {"law": "archard", "coefficient": 1e-3, "hardness": "2 GPa"}
+    scene["particles"]["lattice"]["heat_source"] = 0.2
+    half = {"half_space": {"point": [0.02, 0.0, 0.0], "normal": [1.0, 0.0, 0.5]}}
+    scene["stages"][1]["set"] = [
+        {"temperature": 500.0, "region": half},
+        {"heat_source": -0.1, "groups": ["rain"]},
+    ]
     return Scene.from_dict(scene)
 
 
@@ -238,7 +244,15 @@ QUICK = {
     "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
     "heat": Row(
-        conducting, ("friction_dissipation", "surroundings_heat", "wall_heat.floor", "wear_volume.floor")
+        conducting,
+        (
+            "friction_dissipation",
+            "surroundings_heat",
+            "source_heat",
+            "heat_content_set",
+            "wall_heat.floor",
+            "wear_volume.floor",
+        ),
     ),
 }
 """Scenes of the usual test run."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene_builders import SOFT, box, build_scene, moving_lattice
 
-from granflow import Scene, Simulation
+from granflow import Scene, Simulation, StageSetting
 from granflow.contact.heat.conduction import Conduction
 from granflow.contact.material import PairMaterial, modulus_eff
 from granflow.engine.totals import ended_contacts_dissipation
@@ -265,6 +265,109 @@ def test_a_sphere_radiates_to_its_surroundings():
     assert found.totals["surroundings_heat"] == pytest.approx(gained, rel=1e-9)
 
 
+def stages_scene():
+    """Two spheres of different materials between insulated plates, and a chain between two with temperatures.
+
+    After a stage, one of the two and the left half of the chain take other temperatures, and the other one of
+    the two, which had a source of heat before, another source.
+    """
+    scene = lines_scene().to_dict()
+    scene["particles"]["line_1_1"]["heat_source"] = FIRST_SOURCE
+    middle = END + (LENGTH / 2 - 0.5) * SPACING
+    del scene["run"]["duration"]
+    scene["stages"] = [
+        {"name": "first", "duration": FIRST_STEPS * TIME_STEP},
+        {
+            "name": "second",
+            "duration": FIRST_STEPS * TIME_STEP,
+            "set": [
+                {"heat_source": SECOND_SOURCE, "temperature": 500.0, "groups": ["line_1_0", "line_1_1"]},
+                {"heat_source": 0.0, "region": {"sphere": {"center": [END, 0.03, 0], "radius": RADIUS}}},
+                {"temperature": 700.0, "groups": ["line_1_1"]},
+                {"temperature": 650.0, "region": {"box": {"min": [0, -0.01, -1], "max": [middle, 0.01, 1]}}},
+            ],
+        },
+    ]
+    return Scene.from_dict(scene)
+
+
+FIRST_SOURCE, SECOND_SOURCE = 0.3, -0.2
+
+
+def test_stages_set_temperatures_and_sources_of_heat():
+    conductance = (
+        2.0 * 2.0 * CONDUCTIVITY * OTHER_CONDUCTIVITY / (CONDUCTIVITY + OTHER_CONDUCTIVITY) * CONTACT_RADIUS
+    )
+    capacities = np.array([CAPACITY, OTHER_CAPACITY])
+
+    def stepped(temperatures, sources):
+        """After FIRST_STEPS explicit steps of m c dT/dt = h (T_j - T_i) + s."""
+        for _ in range(FIRST_STEPS):
+            flow = conductance * (temperatures[1] - temperatures[0])
+            temperatures = temperatures + TIME_STEP * (np.array([flow, -flow]) + sources) / capacities
+        return temperatures
+
+    with Simulation(stages_scene(), threads=2) as simulation:
+        start = simulation.snapshot().totals
+        simulation.step(FIRST_STEPS)
+        first = simulation.snapshot()
+        simulation.step(FIRST_STEPS)
+        second = simulation.snapshot()
+        simulation.particles.temperature[0] += 10.0
+        changed = simulation.snapshot().totals
+    before = stepped(np.array([HOT, COLD]), np.array([0.0, FIRST_SOURCE]))
+    np.testing.assert_allclose(first.particles["temperature"][LENGTH : LENGTH + 2], before, rtol=1e-9)
+    after = stepped(np.array([500.0, 700.0]), np.array([0.0, SECOND_SOURCE]))
+    np.testing.assert_allclose(second.particles["temperature"][LENGTH : LENGTH + 2], after, rtol=1e-9)
+    assert second.particles["heat_source"][LENGTH:].tolist() == [0.0, SECOND_SOURCE, 0.0, 0.0]
+    # The chain: five spheres are hotter than the plate at first, the sixth is not.
+    assert (
+        first.particles["temperature"][:LENGTH].max() < HOT < second.particles["temperature"][LENGTH // 2 - 1]
+    )
+    # Heat: that which was set, by the temperatures before, of sources and walls is that of the particles.
+    time = FIRST_STEPS * TIME_STEP
+    chain = first.particles["temperature"][: LENGTH // 2]
+    added = CAPACITY * (650.0 - chain).sum() + capacities @ (np.array([500.0, 700.0]) - before)
+    totals = second.totals
+    assert first.totals["heat_content_set"] == 0.0
+    assert totals["heat_content_set"] == pytest.approx(added, rel=1e-9)
+    assert totals["source_heat"] == pytest.approx(time * (FIRST_SOURCE + SECOND_SOURCE), rel=1e-9)
+    walls = sum(value for name, value in totals.items() if name.startswith("wall_heat."))
+    gained = totals["heat_content"] - start["heat_content"]
+    assert gained == pytest.approx(walls + totals["source_heat"] + totals["heat_content_set"], rel=1e-10)
+    assert changed["heat_content_set"] - added == pytest.approx(10.0 * CAPACITY, rel=1e-6)
+
+
+def test_a_setting_without_particles_is_a_warning(caplog):
+    scene = stages_scene().to_dict()
+    scene["stages"][0]["set"] = {
+        "temperature": "20 K",
+        "region": {"half_space": {"point": [1, 0, 0], "normal": [1, 0, 0]}},
+    }
+    with Simulation(Scene.from_dict(scene), threads=2) as simulation:
+        simulation.step(1)
+    assert (
+        "stage first (stages.0.set): none of the 14 particles is in the groups and the region of the setting"
+        in caplog.text
+    )
+
+
+POINTS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.6, 0.0], [0.0, 0.0, 1.01], [-0.1, 0.0, 0.0]])
+REGIONS = [
+    ({"box": {"min": [0, 0, 0], "max": [1, 1, 1]}}, [True, True, True, False, False]),
+    ({"half_space": {"point": [0, 0, 0], "normal": [-2, 0, 0]}}, [True, False, False, True, True]),
+    ({"cylinder": {"from": [0, 0, 0], "to": [0, 0, 2], "radius": 0.8}}, [True, False, False, True, True]),
+    ({"cylinder": {"from": [0, 0, 0], "to": [1, 0, 0], "radius": 0.5}}, [True, True, False, False, False]),
+    ({"sphere": {"center": [0, 0, 0], "radius": 1}}, [True, True, True, False, True]),
+]
+
+
+@pytest.mark.parametrize(("region", "inside"), REGIONS)
+def test_regions_of_settings_contain_their_surface(region, inside):
+    setting = StageSetting(temperature=300.0, region=region)
+    assert setting.region.contains(POINTS).tolist() == inside
+
+
 def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
     """At the force F, a = (3 F R / (4 E))^(1/3): contacts of the true modulus are smaller by the cube root."""
     soft = SimpleNamespace(
@@ -276,6 +379,19 @@ def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
     (found,) = Conduction().pair_constants(pair)
     assert found == pytest.approx(2.0 * (2.0 * 500.0 / 60.0) * (0.5e7 / (1.0 - 0.09) / true) ** (1.0 / 3.0))
     assert 0.79 < found / (2000.0 / 60.0) < 0.8
+
+
+def test_a_source_requires_heat():
+    scene = bed().to_dict()
+    scene["particles"]["lattice"]["heat_source"] = 1.0
+    scene["stages"] = [{"name": "heat", "duration": 1.0, "set": {"temperature": 300.0}}]
+    del scene["run"]["duration"]
+    with pytest.raises(SceneError) as error:
+        Scene.from_dict(scene)
+    for path in ("particles.lattice.heat_source", "stages.0.set.temperature"):
+        assert f"{path} has no effect: no contact model of this scene has the flow heat_flow" in str(
+            error.value
+        )
 
 
 def test_the_field_of_the_temperature_requires_heat_and_so_does_a_program():
@@ -345,6 +461,15 @@ CASES = [
     (set_key("contact", "heat", value={"law": "conduction", "from_dissipation": True}),
      "contact.heat.from_dissipation is true, but it needs the losses of the energy budget; set "
      "output.energy_budget to true"),
+    (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": {"groups": ["line_0_0"]}}]), "stages.0.set "
+     "sets no property; give temperature or heat_source"),
+    (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": {"temperature": 400, "groups": ["line"]}}]),
+     "stages.0.set.groups.0 is line, but there is no such group of particles"),
+    (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": [{"temperature": -400}]}]),
+     "stages.0.set.0.temperature is -400, but a temperature must be above 0"),
+    (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": {"temperature": 400, "region": {"bx": 1}}}]),
+     "but it must be {box: {min: [..], max: [..]}}, {half_space: {point: [..], normal"),
+    (set_key("particles", "line_0_0", "heat_source", value="2 K"), "particles.line_0_0.heat_source is 2 K, but"),
     (set_key("run", "precision", value="f32"), "run.precision is f32, but the change of temperature"),
 ]  # fmt: skip
 

@@ -390,7 +390,7 @@ def _largest_norm(vectors: ArrayLike) -> float:
 
 
 def use_registry() -> None:
-    """Add the initial values that particle equations require of the groups.
+    """Add the initial values that particle equations require of the groups, and sources of flows.
 
     A schema that is built must be rebuilt afterwards.
     """
@@ -398,7 +398,11 @@ def use_registry() -> None:
         each.name: optional_key(Annotated[float, each.initial], f"initial value: {each.meaning}")
         for each in registry.equations()
     }
-    add_keys(Group, initial)
+    sources = {
+        name: optional_key(Annotated[float, each.type], f"{each.meaning}; default: 0")
+        for name, (_, each) in registry.sources().items()
+    }
+    add_keys(Group, initial | sources)
 
 
 use_registry()

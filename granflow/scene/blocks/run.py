@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from granflow.scene.blocks.settings import StageSetting
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.model import ListOf, Model, Name, Names, Text, optional
@@ -54,7 +55,8 @@ class StageCondition(Model):
 class Stage(Model):
     """A part of the run that ends after a duration, on a quantity, or when the particles are at rest.
 
-    Walls and motions may be limited to stages.
+    Walls and motions may be limited to stages. Particles can take other values of their properties at its
+    start.
 
     >>> gf.Stage(name="settle", kinetic_energy_below="1 nJ", max_duration="2 s").max_duration
     2.0
@@ -83,6 +85,16 @@ class Stage(Model):
     )
     max_duration: q.PositiveTime | None = Field(
         None, description="with kinetic_energy_below or until: longest duration [s]"
+    )
+
+    set_: Annotated[tuple[StageSetting, ...], ListOf(one=True)] = Field(
+        (),
+        alias="set",
+        description=(
+            "properties that particles take at the start of the stage, such as {temperature: 800 K, groups: "
+            "[beads]}: one setting, or a list, applied in its order"
+        ),
+        examples=[{"temperature": "800 K"}],
     )
 
     @property

@@ -179,6 +179,26 @@ class SceneInput(Model):
         """The particle equations that act."""
         return registry.equations_of(self.active_models.values())
 
+    def places_of(self, name: str) -> list[tuple[str | int, ...]]:
+        """Key paths of the groups and settings of stages that give a property of the particles."""
+        groups = [
+            ("particles", group, name)
+            for group, each in self.particles.items()
+            if getattr(each, name) is not None
+        ]
+        settings = [
+            ("stages", number, "set", index, name)
+            for number, stage in enumerate(self.stages)
+            for index, setting in enumerate(stage.set_)
+            if name in setting.values
+        ]
+        return [*groups, *settings]
+
+    def values_set(self, name: str) -> list[float]:
+        """The values that settings of stages give to a property of the particles."""
+        settings = (setting for stage in self.stages for setting in stage.set_)
+        return [each.values[name] for each in settings if name in each.values]
+
     def pair(self, first: str, second: str) -> MaterialPair:
         """The pair of two materials in either order. Raises KeyError if the scene does not have it."""
         return self.pairs[self.pair_key(first, second)]

@@ -1,0 +1,49 @@
+"""Values of properties that stages and programs set, and what they add to contents such as the heat."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from granflow.engine.host import copy_to_host, write_particles
+from granflow.engine.state import State
+from granflow.engine.sums import exact_sum
+from granflow.engine.totals import Accounting, capacity_of
+from granflow.scene.blocks.settings import StageSetting
+
+
+def apply_settings(state: State, accounting: Accounting, settings: Sequence[StageSetting]) -> list[int]:
+    """Set the properties of the particles that are present, in the order of the settings.
+
+    Returns the number of particles, of all ranks, to which each setting applies. All ranks call this.
+    """
+    groups = [group.name for group in state.plan.groups]
+    arrays = copy_to_host(state, ("id", "position"))
+    group = accounting.by_id("group", arrays["id"])
+    points = state.plan.periodic_box.wrap(arrays["position"].astype(float))
+    counts = []
+    for setting in settings:
+        chosen = np.ones(len(group), bool)
+        if setting.groups is not None:
+            chosen &= np.isin(group, [groups.index(name) for name in setting.groups])
+        if setting.region is not None:
+            chosen &= setting.region.contains(points)
+        indices = np.flatnonzero(chosen)
+        for name, value in setting.values.items():
+            set_property(state, accounting, name, indices, np.full(len(indices), value))
+        counts.append(int(state.ranks.total(np.array([[len(indices)]]))[0][0]))
+    return counts
+
+
+def set_property(
+    state: State, accounting: Accounting, name: str, indices: np.ndarray, values: np.ndarray
+) -> None:
+    """Set a property of the particles with these device indices (k,) to values (k,); its content is booked.
+
+    All ranks call this.
+    """
+    equation = next((each for each in state.plan.scene.equations if each.name == name), None)
+    if equation is not None and equation.content is not None:
+        arrays = {key: each[indices] for key, each in copy_to_host(state, ("mass", "material", name)).items()}
+        change = capacity_of(state.plan, equation, arrays) * (values - arrays[name])
+        accounting.contents_set[equation.name] += exact_sum(change, state.ranks)
+    write_particles(state, indices, {name: values})
