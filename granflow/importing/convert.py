@@ -15,6 +15,7 @@ from granflow.importing import (
     multisphere,
     regions,
     schedule,
+    settings,
 )
 from granflow.importing.deck import UNITS, Deck, Fix, ParticleGroup, Translation, Words
 from granflow.importing.language import Command, DeckError, Interpreter
@@ -24,7 +25,7 @@ from granflow.schema.messages import nearest
 
 CODES = ("liggghts", "lammps")
 """Values of --code."""
-FAMILIES = (schedule, materials, regions, geometry, meshes, motion, insertion, multisphere, heat)
+FAMILIES = (schedule, materials, regions, geometry, meshes, motion, insertion, multisphere, heat, settings)
 """Families of commands; each has the tables COMMANDS and FIXES."""
 SHAPES = {"sphere", "granular"}
 """Atom styles of spheres."""
@@ -228,6 +229,7 @@ def _texts(deck: Deck, path: Path, name: str) -> list[str]:
         insertion.build(part, draft)
         schedule.build(part, draft)
         heat.build(part, draft)
+        settings.build(part, draft)
         materials.report_properties(part)
         earlier = part.particles
         title = f"granflow import from {path.name}, a script of {code}; comments have its lines."

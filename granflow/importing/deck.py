@@ -49,6 +49,7 @@ DIMENSIONS: dict[str, tuple[int, int, int]] = {
     "hertz_damping": (0, -1, -1),
     "conductivity": (1, 1, -3),
     "heat_capacity": (0, 2, -2),
+    "power": (1, 2, -3),
 }
 """Exponents of mass, length and time."""
 
@@ -83,12 +84,17 @@ class Region:
 
 @dataclass
 class Group:
-    """A group of the script: all particles, those of a region or of types; `rule` is its style."""
+    """A group of the script: all particles, those of a region or of types.
+
+    rule:   its style
+    start:  time of the command [s], at which the particles that exist become members
+    """
 
     name: str
     rule: str
     words: tuple[str, ...]
     entry: Entry
+    start: float = 0.0
 
 
 @dataclass

@@ -11,6 +11,8 @@ from granflow.importing.deck import Deck, Fix, Translation, Words, impossible
 from granflow.importing.materials import Property
 from granflow.importing.scene_text import Draft, number
 
+HEAT = ("heat/gran", "heat/gran/conduction")
+"""Styles of fixes that conduct heat."""
 CONDUCTANCE = sqrt(2.0 * pi)
 """Conductance of a contact in LIGGGHTS over that of granflow at the same conductivity."""
 KEYS = {
@@ -40,6 +42,8 @@ def heat_gran(deck: Deck, fix: Fix) -> None:
             fix.entry.impossible(f"the keyword {key} of heat/gran")
             words.skip()
     fix.data = temperature
+    if any(run.steps for run in deck.runs):
+        deck.own("changes", set).add(deck.time)
 
 
 def wall_temperature(deck: Deck, fix: Fix, temperature: float) -> None:
@@ -49,7 +53,7 @@ def wall_temperature(deck: Deck, fix: Fix, temperature: float) -> None:
 
 def build(deck: Deck, draft: Draft) -> None:
     """Add the keys of heat to the materials, contact laws, particles and walls of the scene."""
-    fixes = [fix for fix in deck.fixes_of("heat/gran", "heat/gran/conduction") if isinstance(fix.data, float)]
+    fixes = [fix for fix in deck.fixes_of(*HEAT) if isinstance(fix.data, float)]
     acting = [fix for fix in fixes if deck.acting(fix)]
     properties: dict[str, Property] = deck.family.get("properties", {})
     if not acting:
@@ -72,6 +76,9 @@ def build(deck: Deck, draft: Draft) -> None:
         )
     for group in draft.blocks.get("particles", {}).values():
         group["temperature"] = f"{number(fix.data)} K"
+    end = max(run.end for run in deck.runs)
+    if fix.end is not None and fix.end < end:
+        fix.entry.approximated(f"heat flows until the end, also after unfix at {fix.end:g} s")
     temperatures: dict[int, float] = deck.family.get("wall_temperatures", {})
     for name, wall in draft.blocks.get("walls", {}).items():
         for entry in draft.owners.get(("walls", name), ()):

@@ -13,7 +13,7 @@ from granflow.importing.deck import Deck, Fix, ParticleGroup, Region, Translatio
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import material_of
 from granflow.importing.meshes import flat_face
-from granflow.importing.regions import region_of
+from granflow.importing.regions import contains, region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
 from granflow.io.tables import is_number
@@ -25,7 +25,6 @@ MOST_BATCHES = 12
 MOST_FILLED = 0.4
 """Largest solid fraction that insert/pack reaches, relative to the volume of the centers; measured with "
 "LIGGGHTS."""
-CHANGES = "a Python program: simulation.particles.temperature, velocity, ... between two runs"
 """The nearest alternative of a change of particles after the first run."""
 BURST = 0.02
 """Duration of the insertion of a batch over the time between two batches."""
@@ -900,60 +899,13 @@ def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
         entry.impossible(f"create_atoms {style}", "insert: {kind: lattice, region: ...}")
 
 
-def set_(deck: Deck, command: Command, entry: Entry) -> None:
-    """set group|type|atom|region WHICH KEYWORD VALUE ..."""
-    words = Words(deck, command, command.words)
-    style, which = words.word("the style"), words.word("the name")
-    points: Points | None = deck.family.get("points")
-    if points is None or deck.time > 0.0:
-        entry.impossible("changes of particles during the simulation", CHANGES)
-        return
-    chosen = _chosen(deck, command, points, style, which)
-    while words:
-        key = words.word("a keyword")
-        if key == "type":
-            points.type[chosen] = words.whole("the type")
-        elif key == "diameter":
-            points.radius[chosen] = 0.5 * words.number("the diameter", "length")
-        elif key == "density":
-            points.density[chosen] = words.number("the density", "density")
-        elif key in ("x", "y", "z"):
-            points.position[chosen, "xyz".index(key)] = words.number("the position", "length")
-        elif key in ("vx", "vy", "vz"):
-            points.motion[chosen, "xyz".index(key[1])] = words.number("the velocity", "velocity")
-        elif key in ("omegax", "omegay", "omegaz"):
-            points.motion[chosen, 3 + "xyz".index(key[5])] = words.number("the rate", "angular_velocity")
-        elif key == "omega":
-            points.motion[chosen, 3:] = words.vector("the angular velocity", "angular_velocity")
-        else:
-            entry.impossible(f"the keyword {key} of set")
-            words.skip()
-    entry.translated("particles")
-
-
-def _chosen(deck: Deck, command: Command, points: Points, style: str, which: str) -> Any:
-    """Indices of the particles that a style and a name choose."""
-    if style == "group":
-        return slice(None)
-    if style in ("type", "atom"):
-        low, star, high = which.partition("*")
-        number = points.type if style == "type" else np.arange(1, len(points.type) + 1)
-        first = int(low) if low else 1
-        last = (int(high) if high else 10**12) if star else first
-        return (number >= first) & (number <= last)
-    if style == "region":
-        low_high = extent_of(deck, region_of(deck, command, which))
-        return ((points.position >= low_high[::2]) & (points.position <= low_high[1::2])).all(axis=1)
-    raise DeckError(command, f"set has no style {style}; it has group, type, atom and region.")
-
-
 def delete_atoms(deck: Deck, command: Command, entry: Entry) -> None:
     """delete_atoms region ID | group ID ..."""
     points: Points | None = deck.family.get("points")
     words = Words(deck, command, command.words)
     style, which = words.word("the style"), words.word("the name")
     if style == "region" and points is not None and deck.time == 0.0:
-        kept = ~np.broadcast_to(_chosen(deck, command, points, "region", which), points.type.shape)
+        kept = ~contains(deck, region_of(deck, command, which), points.position)
         for name in ("type", "radius", "density", "position", "motion"):
             setattr(points, name, getattr(points, name)[kept])
         entry.translated("particles")
@@ -961,26 +913,6 @@ def delete_atoms(deck: Deck, command: Command, entry: Entry) -> None:
         entry.impossible(
             "deletion of particles during the simulation", "outlets, in which particles are deleted"
         )
-
-
-def velocity(deck: Deck, command: Command, entry: Entry) -> None:
-    """velocity GROUP set VX VY VZ"""
-    words = Words(deck, command, command.words)
-    words.word("a group")
-    style = words.word("the style")
-    points: Points | None = deck.family.get("points")
-    if points is not None and deck.time > 0.0:
-        entry.impossible("changes of particles during the simulation", CHANGES)
-        return
-    if style != "set" or points is None:
-        entry.impossible(f"velocity {style}", "velocity or thermal of the group")
-        return
-    for k in range(3):
-        if words.next == "NULL":
-            words.word("a velocity")
-        else:
-            points.motion[:, k] = words.number("a velocity", "velocity")
-    entry.translated("particles")
 
 
 def add_points(deck: Deck, draft: Draft) -> None:
@@ -1013,10 +945,14 @@ def add_points(deck: Deck, draft: Draft) -> None:
 def build(deck: Deck, draft: Draft) -> None:
     """Write the block particles."""
     for group in deck.particles:
-        name = "".join(each if each.isalnum() or each == "_" else "_" for each in group.name)
-        name = name if name[:1].isalpha() else f"group_{name}"
         keys = {"material": material_of(deck, group), **group.keys}
-        draft.put(("particles", name), keys, *group.entries)
+        draft.put(("particles", group_name(group)), keys, *group.entries)
+
+
+def group_name(group: ParticleGroup) -> str:
+    """Name of a group in the scene."""
+    name = "".join(each if each.isalnum() or each == "_" else "_" for each in group.name)
+    return name if name[:1].isalpha() else f"group_{name}"
 
 
 # Tables
@@ -1026,8 +962,6 @@ COMMANDS: dict[str, Translation] = {
         read_data, "particles.NAME.insert (kind: file)", "atom_style sphere or granular"
     ),
     "create_atoms": Translation(create_atoms, "particles.NAME.insert (kind: file)", "single and random"),
-    "set": Translation(set_, "particles", "particles that exist at the start"),
-    "velocity": Translation(velocity, "particles", "set, particles that exist at the start"),
     "delete_atoms": Translation(delete_atoms, "particles", "region, before the first run"),
     "displace_atoms": impossible("displacement of particles", "other positions in the table"),
     "molecule": impossible("molecules", "clumps: particles.NAME.clump"),

@@ -307,6 +307,38 @@ def region_at(deck: Deck, name: str, time: float) -> Region | None:
     )
 
 
+def contains(deck: Deck, region: Region, points: np.ndarray) -> np.ndarray:
+    """Whether points (n, 3) [m] are in a region."""
+    parts = [contains(deck, deck.regions[name], points) for name in region.parts]
+    if region.kind == "union":
+        found = np.any(parts, axis=0)
+    elif region.kind == "intersect":
+        found = np.all(parts, axis=0)
+    else:
+        found = _in_shape(deck, region, points)
+    return found if region.inside else ~found
+
+
+def _in_shape(deck: Deck, region: Region, points: np.ndarray) -> np.ndarray:
+    """Whether points (n, 3) [m] are in a block, cylinder, cone, sphere or half space."""
+    n = region.numbers
+    box = deck.box or (-inf, inf) * 3
+    if region.kind == "block":
+        low_high = np.array([box[k] if each != each else each for k, each in enumerate(n)])
+        return np.asarray(((points >= low_high[::2]) & (points <= low_high[1::2])).all(axis=1))
+    if region.kind == "sphere":
+        return np.asarray(((points - n[:3]) ** 2).sum(axis=1) <= n[3] ** 2)
+    if region.kind == "plane":
+        return np.asarray((points - n[:3]) @ np.array(n[3:]) >= 0.0)
+    axis = "xyz".index(region.axis)
+    across = [k for k in range(3) if k != axis]
+    low, high = (box[2 * axis + k] if each != each else each for k, each in enumerate(n[-2:]))
+    along = points[:, axis]
+    radius = n[2] if region.kind == "cylinder" else n[2] + (n[3] - n[2]) * (along - low) / (high - low)
+    distance = np.hypot(points[:, across[0]] - n[0], points[:, across[1]] - n[1])
+    return np.asarray((distance <= radius) & (along >= low) & (along <= high))
+
+
 # Lattices and groups
 
 BASIS = {"none": 1.0, "sc": 1.0, "bcc": 2.0, "fcc": 4.0, "diamond": 8.0}
@@ -331,7 +363,7 @@ def group(deck: Deck, command: Command, entry: Entry) -> None:
     words = Words(deck, command, command.words)
     name = words.word("the name of the group")
     style = words.word("the style of the group")
-    deck.groups[name] = Group(name, style, words.rest, entry)
+    deck.groups[name] = Group(name, style, words.rest, entry, deck.time)
     entry.not_needed("forces, walls and output of the scene apply to all particles")
 
 

@@ -88,6 +88,10 @@ class Draft:
         self.owners[tuple(path)] = entries
         for entry in entries:
             entry.translated(".".join(path))
+        self.remark(path, *entries, remark=remark)
+
+    def remark(self, path: Sequence[str], *entries: Entry, remark: str = "") -> None:
+        """Add entries and a remark to the comments of a key."""
         found = [*map(comment_of, entries), *([remark] if remark else [])]
         notes = self.comments.setdefault(tuple(path), [])
         notes.extend(each for each in found if each not in notes)
@@ -137,12 +141,29 @@ class Draft:
         opened = inner and depth == 0 and not _is_flat(value)
         if not (commented or opened) and (len(line) <= WIDTH or not inner):
             if isinstance(value, list) and len(line) > WIDTH and isinstance(value[0], dict):
-                return [*lines, f"{indent}{path[-1]}:", *(f"{indent}  - {flow(each)}" for each in value)]
+                items = (each for item in value for each in _item(item, f"{indent}  "))
+                return [*lines, f"{indent}{path[-1]}:", *items]
             return [*lines, line]
         lines.append(f"{indent}{path[-1]}:")
         for key, each in value.items():
             lines += self._key((*path, key), each, depth + 1)
         return lines
+
+
+def _item(value: dict[str, Any], indent: str) -> list[str]:
+    """The lines of one entry of a list: one, or if that is too long, one for each key."""
+    line = f"{indent}- {flow(value)}"
+    if len(line) <= WIDTH:
+        return [line]
+    found = []
+    for number, (key, each) in enumerate(value.items()):
+        start = f"{indent}{'  ' if number else '- '}{key}:"
+        is_long = (
+            len(f"{start} {flow(each)}") > WIDTH and isinstance(each, list) and isinstance(each[0], dict)
+        )
+        found.append(start if is_long else f"{start} {flow(each)}")
+        found += [line for item in each for line in _item(item, f"{indent}    ")] if is_long else []
+    return found
 
 
 def _is_flat(value: dict[str, Any]) -> bool:

@@ -478,7 +478,6 @@ FIXES: dict[str, Translation] = {
     "ave/chunk": not_needed("output.fields has averages on a grid"),
     "ave/euler": not_needed("output.fields has averages on a grid"),
     "ave/correlate": not_needed("it follows from timeseries.csv"),
-    "property/atom": not_needed("properties of the particle files are fixed"),
     "setforce": impossible("forces that are set", "fixed: true for particles that do not move"),
     "addforce": impossible("a constant force", "gravity, or gf.ParticleForces of a Python program"),
     "aveforce": impossible("aveforce", "a Python program that sets forces"),

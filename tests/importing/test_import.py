@@ -335,6 +335,81 @@ def test_heat(tmp_path):
     assert float(material["thermal_conductivity"].split()[0]) == pytest.approx(50 * sqrt(2 * pi))
 
 
+HEAT = (
+    "fix h1 all property/global thermalConductivity peratomtype 100 50\n"
+    "fix h2 all property/global thermalCapacity peratomtype 10 20\n"
+)
+
+
+def test_temperatures_and_sources_between_runs_are_settings_of_stages(tmp_path):
+    """A half space, a box to the end of the domain, a type, a union; a fix heat/gran that begins later."""
+    end = """run 100
+fix h3 all heat/gran initial_temperature 300
+region ball sphere 0.05 0.05 0.05 0.01
+region left block INF 0.02 INF INF INF INF
+region slab block INF 0.02 EDGE 0.05 INF INF
+region both union 2 left ball
+set region left property/atom Temp 800
+set type 2 property/atom Temp 500
+run 50
+set region slab property/atom heatSource -1.5
+set region both property/atom Temp 400
+group hot region ball
+set group hot property/atom Temp 450
+run 50"""
+    found, scene = imported(tmp_path, liggghts(properties=HEAT, end=end))
+    half = {"half_space": {"point": ["20 mm", 0, 0], "normal": [-1, 0, 0]}}
+    ball = {"sphere": {"center": ["50 mm", "50 mm", "50 mm"], "radius": "10 mm"}}
+    slab = {"box": {"min": ["-1 m", 0, "-2 m"], "max": ["20 mm", "50 mm", "2.2 m"]}}
+    first, second, third = scene["stages"]
+    assert found.report.is_complete and "set" not in first
+    assert second["set"] == [
+        {"temperature": "300 K"},
+        {"temperature": "800 K", "region": half},
+        {"temperature": "500 K", "groups": ["ins_2"]},
+    ]
+    assert third["set"] == [
+        {"heat_source": "-1.5 W", "region": slab},
+        {"temperature": "400 K", "region": half},
+        {"temperature": "400 K", "region": ball},
+        {"temperature": "450 K", "region": ball},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("end", "fragment", "sentence"),
+    [
+        ("run 1\nset atom 3 property/atom Temp 9\nrun 1", "atom 3", "values for atom 3; nearest: set region"),
+        (
+            "run 1\nset type 1 property/atom charge 9\nrun 1",
+            "charge",
+            "the property charge; nearest: one of Temp",
+        ),
+        (
+            "group g type 1\nrun 1\nset group g property/atom Temp 9\nrun 1",
+            "set group g",
+            "values for group g; near",
+        ),
+        (
+            "set group all property/atom Temp 9\nrun 1",
+            "Temp 9",
+            "the box has no particles yet, so that it changes none",
+        ),
+        ("run 1\nset group all property/atom Temp 9", "Temp 9", "no run follows"),
+        (
+            "fix s all property/atom heatSource scalar yes no no 0.5\nrun 1",
+            "heatSource",
+            "particles.NAME.heat_source",
+        ),
+    ],
+)
+def test_settings_that_have_no_effect_or_no_counterpart(tmp_path, end, fragment, sentence):
+    text = liggghts(properties=f"{HEAT}fix h3 all heat/gran initial_temperature 300", end=end)
+    found, scene = imported(tmp_path, text)
+    assert any(sentence in each for _, each in remarks(found, fragment)), remarks(found, fragment)
+    assert "stages" not in scene or all("set" not in stage for stage in scene["stages"])
+
+
 def test_gravity_that_changes_makes_a_second_scene(tmp_path):
     found, _ = imported(tmp_path, liggghts(end="run 10\nfix g all gravity 5 vector 1 0 0\nrun 20"))
     assert remarks(found, "vector 1 0 0")[0][0] == "approximated"
@@ -351,15 +426,28 @@ def test_read_restart_is_refused_with_advice(tmp_path):
     assert found.texts == [] and "write_data" in remarks(found, "read_restart")[0][1]
 
 
+STARTS = """set atom 2 vx 3
+region r cylinder z 0.5 0.5 0.1 1 2
+region s sphere 0.4 0.4 0.4 0.18
+group g region s
+group h subtract all g
+velocity g set NULL 7 NULL
+set group h omega 5 0 0
+set region r omegay 0"""
+
+
 def test_particles_of_a_file(tmp_path):
     (tmp_path / "data").write_text("header\n\n2 atoms\n1 atom types\n0 1 xlo xhi\n0 1 ylo yhi\n0 2 zlo zhi\n\nAtoms\n\n"
                                    "1 1 0.2 2500 0.5 0.5 0.5\n2 1 0.4 2500 0.5 0.5 1.5\n")  # fmt: skip
     head = LAMMPS.format(model="pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1")
     text = head.replace("region box block 0 0.1 0 0.1 0 0.2\ncreate_box 1 box", "read_data data")
-    text = text.replace("fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500", "set atom 2 vx 3")
+    text = text.replace("fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500", STARTS)
     found, scene = imported(tmp_path, text)
     assert found.files["type1.csv"].decode().splitlines()[0] == "x,y,z,r,vx,vy,vz,wx,wy,wz"
-    assert found.files["type1.csv"].decode().splitlines()[2].startswith("0.5,0.5,1.5,0.2,3,")
+    # The cylinder contains the second particle only, whose box would contain none of both.
+    rows = [row.split(",") for row in found.files["type1.csv"].decode().splitlines()[1:]]
+    assert [row[:5] for row in rows] == [["0.5", "0.5", "0.5", "0.1", "0"], ["0.5", "0.5", "1.5", "0.2", "3"]]
+    assert [row[5] for row in rows] == ["7", "0"] and [row[7] for row in rows] == ["0", "5"]
     assert scene["domain"]["max"] == ["1 m", "1 m", "2 m"]
 
 

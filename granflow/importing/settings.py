@@ -1,0 +1,346 @@
+"""Commands that change particles: set and velocity.
+
+Before the first run they change the particles that the script has put into the box; the temperature, and heat
+sources, at the start of a stage.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from granflow.importing.deck import Deck, Fix, Group, Region, Translation, Words
+from granflow.importing.heat import HEAT
+from granflow.importing.insertion import Points, group_name
+from granflow.importing.language import Command, DeckError
+from granflow.importing.regions import contains, region_of
+from granflow.importing.report import Entry
+from granflow.importing.scene_text import Draft, number, quantities, quantity
+from granflow.importing.schedule import stage_names
+
+CHANGES = "a stage with set (temperatures, sources of heat), or a Python program (simulation.particles)"
+PROPERTIES = {"Temp": ("temperature", "number", "K"), "heatSource": ("heat_source", "power", "W")}
+"""Key of a setting, dimension and unit of a property of the particles that the script sets."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A property that particles take at a time of the script.
+
+    time:    [s]
+    chosen:  the keys groups or region, one mapping for each part of the region
+    types:   atom types of the particles; empty for all
+    """
+
+    time: float
+    entry: Entry
+    key: str
+    value: str
+    chosen: tuple[dict[str, Any], ...]
+    types: tuple[int, ...] = ()
+
+
+# Commands
+
+
+def set_(deck: Deck, command: Command, entry: Entry) -> None:
+    """set group|type|atom|region WHICH KEYWORD VALUE ..."""
+    words = Words(deck, command, command.words)
+    style, which = words.word("the style"), words.word("the name")
+    if style == "region":
+        region_of(deck, command, which)
+    if words.next.startswith("property/"):
+        _set_property(deck, words, entry, style, which)
+        return
+    points: Points | None = deck.family.get("points")
+    if points is None or deck.time > 0.0:
+        entry.impossible("changes of particles during the simulation", CHANGES)
+        return
+    chosen = _chosen(deck, command, points, style, which)
+    if chosen is None:
+        entry.impossible(f"the particles of {style} {which}", "set region, type or atom")
+        return
+    while words:
+        key = words.word("a keyword")
+        if key == "type":
+            points.type[chosen] = words.whole("the type")
+        elif key == "diameter":
+            points.radius[chosen] = 0.5 * words.number("the diameter", "length")
+        elif key == "density":
+            points.density[chosen] = words.number("the density", "density")
+        elif key in ("x", "y", "z"):
+            points.position[chosen, "xyz".index(key)] = words.number("the position", "length")
+        elif key in ("vx", "vy", "vz"):
+            points.motion[chosen, "xyz".index(key[1])] = words.number("the velocity", "velocity")
+        elif key in ("omegax", "omegay", "omegaz"):
+            points.motion[chosen, 3 + "xyz".index(key[5])] = words.number("the rate", "angular_velocity")
+        elif key == "omega":
+            points.motion[chosen, 3:] = words.vector("the angular velocity", "angular_velocity")
+        else:
+            entry.impossible(f"the keyword {key} of set")
+            words.skip()
+    entry.translated("particles")
+
+
+def velocity(deck: Deck, command: Command, entry: Entry) -> None:
+    """velocity GROUP set VX VY VZ"""
+    words = Words(deck, command, command.words)
+    group = words.word("a group")
+    style = words.word("the style")
+    points: Points | None = deck.family.get("points")
+    if points is not None and deck.time > 0.0:
+        entry.impossible("changes of particles during the simulation", CHANGES)
+        return
+    if style != "set" or points is None:
+        entry.impossible(f"velocity {style}", "velocity or thermal of the group")
+        return
+    chosen = _chosen(deck, command, points, "group", group)
+    if chosen is None:
+        entry.impossible(f"the velocities of the group {group}", "a group of a region, type or id")
+        return
+    for k in range(3):
+        if words.next == "NULL":
+            words.word("a velocity")
+        else:
+            points.motion[chosen, k] = words.number("a velocity", "velocity")
+    entry.translated("particles")
+
+
+def _set_property(deck: Deck, words: Words, entry: Entry, style: str, which: str) -> None:
+    """property/atom NAME VALUE: a temperature or a source of heat, from the next stage on."""
+    words.word("property/atom")
+    name = words.word("the name of the property")
+    if name not in PROPERTIES:
+        entry.impossible(f"the property {name}", f"one of {', '.join(PROPERTIES)}")
+        return
+    key, dimension, unit = PROPERTIES[name]
+    value = f"{number(words.number('the value', dimension))} {unit}"
+    if words:
+        raise DeckError(words.command, f"{words.next} follows the value; write one command for each value.")
+    add_setting(deck, words.command, entry, style, which, key, value)
+
+
+def add_setting(
+    deck: Deck, command: Command, entry: Entry, style: str, which: str, key: str, value: str
+) -> None:
+    """Let particles take a value at the present time; a new stage begins then."""
+    if deck.time == 0.0 and deck.family.get("points") is None:
+        entry.not_needed("the box has no particles yet, so that it changes none")
+        return
+    chosen = _chosen_later(deck, command, style, which)
+    if chosen is None:
+        entry.impossible(
+            f"values for {style} {which}", "set region with a block, cylinder, sphere or plane; or set type"
+        )
+        return
+    deck.own("changes", set).add(deck.time)
+    deck.own("settings", list).append(Setting(deck.time, entry, key, value, *chosen))
+
+
+def property_atom(deck: Deck, fix: Fix) -> None:
+    """fix ID group property/atom NAME STYLE RESTART COMM REVERSE DEFAULT: a source of heat, or own data."""
+    words = Words(deck, fix.entry.command, fix.words)
+    name = words.word("the name of the property")
+    if name not in PROPERTIES or len(words.rest) < 5:
+        fix.entry.not_needed("properties of the particle files are fixed")
+        return
+    words = Words(deck, fix.entry.command, fix.words[5:])
+    if words.next in ("none", "NULL"):
+        fix.entry.not_needed("it has no value")
+        return
+    key, dimension, unit = PROPERTIES[name]
+    deck.own("property_defaults", dict)[key] = (
+        f"{number(words.number('the value', dimension))} {unit}",
+        fix.entry,
+    )
+
+
+# Which particles
+
+
+def _chosen(deck: Deck, command: Command, points: Points, style: str, which: str) -> Any:
+    """Mask (n,) of the particles that a style and a name choose; None if it is not known."""
+    everything = np.ones(len(points.type), bool)
+    if style == "group":
+        return everything if which == "all" else _members(deck, command, points, which)
+    if style in ("type", "atom"):
+        numbers = points.type if style == "type" else np.arange(1, len(points.type) + 1)
+        return _in_range(command, numbers, which)
+    if style == "region":
+        return contains(deck, region_of(deck, command, which), points.position)
+    raise DeckError(command, f"set has no style {style}; it has group, type, atom and region.")
+
+
+def _in_range(command: Command, numbers: np.ndarray, which: str) -> np.ndarray:
+    """Whether numbers (n,) are in a range such as 3, 2*4, *4 or 2*. Raises DeckError."""
+    low, star, high = which.partition("*")
+    if not all(each.isdigit() or (star and not each) for each in (low, high if star else low)):
+        raise DeckError(command, f"{which} is neither a number nor a range, such as 2*4.")
+    first = int(low) if low else 1
+    last = (int(high) if high else 10**12) if star else first
+    return np.asarray((numbers >= first) & (numbers <= last))
+
+
+def _group(deck: Deck, command: Command, name: str) -> Group:
+    """A group by its name. Raises DeckError."""
+    if name not in deck.groups:
+        raise DeckError(command, f"there is no group {name}. Groups: {', '.join(['all', *deck.groups])}.")
+    return deck.groups[name]
+
+
+def _members(deck: Deck, command: Command, points: Points, name: str) -> np.ndarray | None:
+    """Mask (n,) of the particles of a group; None for a style of groups that is not known."""
+    group = _group(deck, command, name)
+    if group.rule == "region":
+        return contains(deck, region_of(deck, command, group.words[0]), points.position)
+    if group.rule in ("type", "id") and all(each.replace(":", "").isdigit() for each in group.words):
+        numbers = points.type if group.rule == "type" else np.arange(1, len(points.type) + 1)
+        ranges = ([int(each) for each in word.split(":")] for word in group.words)
+        return np.any([(numbers >= each[0]) & (numbers <= each[-1]) for each in ranges], axis=0)
+    if group.rule in ("union", "subtract", "intersect"):
+        masks = [_chosen(deck, command, points, "group", each) for each in group.words]
+        if any(each is None for each in masks):
+            return None
+        if group.rule == "subtract":
+            return np.asarray(masks[0] & ~np.any(masks[1:], axis=0))
+        return np.asarray((np.any if group.rule == "union" else np.all)(masks, axis=0))
+    return None
+
+
+def _chosen_later(
+    deck: Deck, command: Command, style: str, which: str
+) -> tuple[tuple[dict[str, Any], ...], tuple[int, ...]] | None:
+    """Regions and atom types of a setting; None if it has none of both."""
+    everywhere: tuple[dict[str, Any], ...] = ({},)
+    if style == "group" and which != "all":
+        group = _group(deck, command, which)
+        if group.start == deck.time and group.rule in ("region", "type"):
+            return _chosen_later(deck, command, group.rule, " ".join(group.words))
+        return None  # particles that came into the box after the group was made are not its members
+    if style == "group":
+        return everywhere, ()
+    if style == "type":
+        types = np.arange(1, deck.types + 1)
+        chosen = [n for word in which.split() for n in types[_in_range(command, types, word)].tolist()]
+        return everywhere, tuple(dict.fromkeys(chosen))
+    if style == "region":
+        regions = scene_regions(deck, region_of(deck, command, which))
+        return None if regions is None else (tuple({"region": each} for each in regions), ())
+    return None
+
+
+FAR = 10.0
+"""Where an infinite region ends in a scene, in sizes of the box beyond it."""
+
+
+def scene_regions(deck: Deck, region: Region) -> list[dict[str, Any]] | None:
+    """The region as regions of settings, of which it is the union; None if there are none."""
+    if region.kind == "union" and region.inside:
+        parts = [scene_regions(deck, deck.regions[name]) for name in region.parts]
+        return None if None in parts else [each for part in parts for each in part or ()]
+    n = region.numbers
+    if region.kind == "block":
+        faces = [k for k, each in enumerate(n) if each == each and abs(each) < inf]
+        if len(faces) == 1:
+            axis, side = divmod(faces[0], 2)
+            inward = 1.0 - 2.0 * side
+            point, normal = [0.0] * 3, [0.0] * 3
+            point[axis], normal[axis] = n[faces[0]], inward if region.inside else -inward
+            return [{"half_space": {"point": quantities(point, "length"), "normal": normal}}]
+    if region.kind == "plane":
+        sign = 1.0 if region.inside else -1.0
+        normal = [sign * each + 0.0 for each in n[3:]]
+        return [{"half_space": {"point": quantities(n[:3], "length"), "normal": normal}}]
+    if not region.inside:
+        return None
+    if region.kind == "block":
+        corners = [_end(deck, k, each) for k, each in enumerate(n)]
+        box = {"min": quantities(corners[::2], "length"), "max": quantities(corners[1::2], "length")}
+        return [{"box": box}]
+    if region.kind == "sphere":
+        return [{"sphere": {"center": quantities(n[:3], "length"), "radius": quantity(n[3], "length")}}]
+    if region.kind == "cylinder":
+        axis = "xyz".index(region.axis)
+        ends = []
+        for side in (0, 1):
+            end = [*n[:2]]
+            end.insert(axis, _end(deck, 2 * axis + side, n[3 + side]))
+            ends.append(quantities(end, "length"))
+        return [{"cylinder": {"from": ends[0], "to": ends[1], "radius": quantity(n[2], "length")}}]
+    return None
+
+
+def _end(deck: Deck, k: int, given: float) -> float:
+    """Low or high number k of x, y and z; that of the box for EDGE, far outside of it for INF."""
+    box = deck.box or (-1.0, 1.0) * 3
+    size = box[k - k % 2 + 1] - box[k - k % 2]
+    if given != given:
+        return box[k]
+    return box[k] + (2 * (k % 2) - 1) * FAR * size if abs(given) == inf else given
+
+
+# The scene
+
+
+def build(deck: Deck, draft: Draft) -> None:
+    """Add the settings to the stages of the scene."""
+    settings: list[Setting] = [*_of_heat(deck), *deck.own("settings", list)]
+    defaults: dict[str, tuple[str, Entry]] = deck.own("property_defaults", dict)
+    for key, (value, entry) in defaults.items():
+        for group in draft.blocks.get("particles", {}).values():
+            group[key] = value
+        entry.translated(f"particles.NAME.{key}")
+    runs = [run for run in deck.runs if run.steps]
+    for each in settings:
+        time = each.time - deck.origin
+        run = next((run for run in runs if abs(run.start - time) <= run.slack), None)
+        if run is None:
+            if not deck.origin and not any(run.end > time for run in runs):
+                each.entry.not_needed("no run follows")
+            continue
+        if "heat" not in draft.blocks["contact"]:
+            each.entry.not_needed("no fix heat/gran conducts heat")
+            continue
+        stage = _stage(deck, draft, deck.runs.index(run))
+        groups = [group_name(group) for group in deck.particles if group.type in each.types]
+        names = {"groups": groups} if each.types else {}
+        stage.setdefault("set", []).extend({each.key: each.value, **names, **part} for part in each.chosen)
+        draft.remark(("stages",), each.entry)
+        each.entry.translated(f"stages.{stage['name']}.set")
+
+
+def _of_heat(deck: Deck) -> list[Setting]:
+    """The temperature that particles take when a fix heat/gran begins after the first run."""
+    fixes = [each for each in deck.fixes_of(*HEAT) if isinstance(each.data, float) and deck.acting(each)]
+    return [
+        Setting(fix.start + deck.origin, fix.entry, "temperature", f"{number(fix.data)} K", ({},))
+        for fix in fixes[:1]
+        if fix.start > 0.0
+    ]
+
+
+def _stage(deck: Deck, draft: Draft, run: int) -> dict[str, Any]:
+    """The stage of the scene that begins with a run; a scene with one duration gets a stage."""
+    stages: list[dict[str, Any]] | None = draft.get("stages")
+    if stages is None:
+        stages = [{"name": "run", "duration": draft.get("run", "duration")}]
+        draft.remove("run", "duration")
+        draft.put(("stages",), stages)
+    name = stage_names(deck).get(run, "run")
+    return next(each for each in stages if each["name"] == name)
+
+
+# Tables
+
+COMMANDS: dict[str, Translation] = {
+    "set": Translation(
+        set_, "particles, stages.NAME.set", "before the first run; property/atom Temp, heatSource at any time"
+    ),
+    "velocity": Translation(velocity, "particles", "set, particles that exist at the start"),
+}
+FIXES: dict[str, Translation] = {
+    "property/atom": Translation(
+        property_atom, "particles.NAME.heat_source", "heatSource and Temp; others are not needed"
+    ),
+}
