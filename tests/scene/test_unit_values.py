@@ -47,6 +47,7 @@ VALUES = {
     "heat_capacity": {"J/kg/K": 1.0, "J/(kg*K)": 1.0, "kJ/kg/K": 1000.0, "kJ/(kg*K)": 1000.0, "J/g/K": 1000.0,
                       "J/(g*K)": 1000.0},
     "thermal_conductivity": {"W/m/K": 1.0, "W/(m*K)": 1.0, "mW/m/K": 0.001, "mW/(m*K)": 0.001},
+    "power": {"W": 1.0, "kW": 1000.0, "mW": 0.001, "uW": 1e-6},
     "heat_flux": {"W/m2": 1.0, "W/m^2": 1.0, "W/m²": 1.0, "kW/m2": 1000.0}
 }  # fmt: skip
 
