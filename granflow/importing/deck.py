@@ -36,6 +36,7 @@ DIMENSIONS: dict[str, tuple[int, int, int]] = {
     "acceleration": (0, 1, -2),
     "density": (1, -3, 0),
     "pressure": (1, -1, -2),
+    "compliance": (-1, 1, 2),
     "stiffness": (1, 0, -2),
     "surface_energy": (1, 0, -2),
     "viscosity": (1, -1, -1),

@@ -18,7 +18,7 @@ from granflow.importing.materials import (
     old_model,
     wall_contact,
 )
-from granflow.importing.meshes import Mesh, measure, mesh_keys, surface_motions
+from granflow.importing.meshes import Mesh, measure, mesh_keys, surface_motions, wear_keys
 from granflow.importing.motion import mesh_motions, vibration
 from granflow.importing.region_walls import Face, RegionWall
 from granflow.importing.regions import region_of
@@ -435,6 +435,7 @@ def _mesh(deck: Deck, draft: Draft, fix: Fix, mesh: Fix, contact: WallContact) -
     mesh = next(each for each in deck.all_fixes if each.entry is mesh.entry)
     name = region_walls.wall_name(draft, mesh.name)
     keys = {**mesh_keys(draft, mesh.data), "material": contact.material}
+    keys |= wear_keys(deck, mesh.data)
     motions = [*surface_motions(deck, mesh, name), *mesh_motions(deck, draft, mesh, name)]
     keys |= _motion(motions)
     runs = [run for run in deck.acting(fix) if mesh.acts_in(run)]

@@ -70,7 +70,7 @@ PROPERTIES: dict[str, Known] = {
     "thermalCapacity": Known("heat_capacity", "materials.NAME.heat_capacity"),
     "youngsModulusOriginal": Known("pressure", "materials.NAME.true_young_modulus"),
     "thermalExpansion": Known(refused="thermal expansion is not simulated"),
-    "k_finnie": Known(refused="wear is not simulated"),
+    "k_finnie": Known("compliance", "walls.NAME.wear.coefficient"),
     "FluidViscosity": Known("viscosity"),
     "CriticalStokes": Known("number"),
     "MaximumRestitution": Known("number"),

@@ -11,6 +11,7 @@ from granflow.geometry.mesh_file import read_triangles
 from granflow.importing.deck import Deck, Fix, Translation, Vector, Words
 from granflow.importing.heat import wall_temperature
 from granflow.importing.language import DeckError
+from granflow.importing.materials import Property, material_of
 from granflow.importing.scene_text import Draft, quantities, quantity
 from granflow.importing.schedule import stages_of
 from granflow.io.files import FormatError
@@ -44,6 +45,8 @@ class Mesh:
     servo: dict[str, Any] = field(default_factory=dict)
     measured: bool = False
     """Whether the forces on the mesh are computed."""
+    worn: bool = False
+    """Whether its wear is computed, by the model of Finnie."""
 
     def triangles(self) -> np.ndarray:
         """Triangles (n, 3, 3) [m] after the transformations of the script, in their order."""
@@ -57,6 +60,23 @@ class Mesh:
             else:
                 triangles = triangles @ rotation(values[0], np.radians(values[1])).T
         return triangles
+
+
+def wear_keys(deck: Deck, mesh: Mesh) -> dict[str, Any]:
+    """Wear of a mesh by the formula of LIGGGHTS, whose k_finnie [1/Pa] is the coefficient over the hardness.
+
+    Raises DeckError without k_finnie.
+    """
+    if not mesh.worn:
+        return {}
+    known: Property | None = deck.family.get("properties", {}).get("k_finnie")
+    if known is None:
+        fix = next(each for each in deck.all_fixes if each.data is mesh)
+        raise DeckError(fix.entry.command, "wear finnie needs fix property/global k_finnie peratomtypepair.")
+    found = {material_of(deck, each): known.of(mesh.type, each.type) for each in deck.particles}
+    known.entry.translated("walls.NAME.wear.coefficient")
+    coefficient = next(iter(found.values())) if len(set(found.values())) == 1 else found
+    return {"wear": {"law": "finnie", "coefficient": coefficient, "hardness": "1 Pa"}}
 
 
 def rotation(axis: Vector, angle: float) -> np.ndarray:
@@ -116,8 +136,10 @@ def mesh_surface(deck: Deck, fix: Fix) -> None:
                     "torques of granflow are about the origin, or the point of the rotation of the wall"
                 )
         elif key == "wear":
-            if words.word("the model of wear") != "off":
-                fix.entry.impossible("wear of walls", "output.collision_energies, and the forces on the wall")
+            model = words.word("the model of wear")
+            mesh.worn = model == "finnie"
+            if model not in ("finnie", "off"):
+                fix.entry.impossible(f"the wear model {model}", "finnie, or walls.NAME.wear of the scene")
         elif key == "temperature":
             wall_temperature(deck, fix, words.plain("the temperature"))
         elif key == "element_exclusion_list":
@@ -518,7 +540,9 @@ _MESH = Translation(
     "walls.NAME (shape: mesh)",
     "scale, move, rotate, surface_vel; surface_ang_vel of surfaces of revolution",
 )
-_STRESS = Translation(mesh_surface, "walls.NAME (shape: mesh), output.wall_forces", "wear is not possible")
+_STRESS = Translation(
+    mesh_surface, "walls.NAME (shape: mesh), walls.NAME.wear, output.wall_forces", "wear finnie"
+)
 
 COMMANDS: dict[str, Translation] = {}
 FIXES: dict[str, Translation] = {

@@ -304,6 +304,27 @@ def test_servo_and_forces(tmp_path, square):
     assert scene["output"]["wall_forces"] == ["cad"]
 
 
+def test_wear_by_the_model_of_finnie(tmp_path, square):
+    """k_finnie of a mesh of type 2 and particles of type 1, in 1/(dyn/cm2) = 10/Pa."""
+    style = square.replace("mesh/surface", "mesh/surface/stress").replace("type 1", "type 2")
+    text = liggghts(f"fix cad all {style} wear finnie\n{MOVED}run 9").replace("units si", "units cgs")
+    text = text.replace("create_box 1 ", "create_box 2 ").replace(
+        "peratomtypepair 1 0.5", "peratomtypepair 2 0.5 .5 .5 .5"
+    )
+    text = (
+        text.replace("peratomtypepair 1 0.1", "peratomtypepair 2 .1 .1 .1 .1")
+        .replace("5e6", "5e6 5e6")
+        .replace("0.45", "0.45 0.45")
+    )
+    with pytest.raises(DeckError, match="in.deck:19: wear finnie needs fix property/global k_finnie"):
+        imported(tmp_path, text)
+    given = "fix m5 all property/global k_finnie peratomtypepair 2 1e-9 3e-9 3e-9 4e-9\npair_style"
+    found, scene = imported(tmp_path, text.replace("pair_style", given))
+    assert found.report.is_complete
+    assert scene["walls"]["cad"]["wear"] == {"law": "finnie", "coefficient": "3e-08", "hardness": "1 Pa"}
+    assert checked(tmp_path, found).walls["cad"].wear.coefficient == 3e-8
+
+
 def test_mass_flow_through_a_mesh(tmp_path, square):
     walls = f"fix cad all {square} move 0 0 0.05\nfix flow all massflow/mesh mesh cad vec_side 0.2 0 -1 "
     floor = f"fix w all {GRANULAR} primitive type 1 zplane 0\n"
