@@ -400,7 +400,7 @@ def compare(options: argparse.Namespace) -> int:
     for note in (stage_note(found), *notes_on(found)):
         say(note)
     for assessment in found.assessments:
-        say(f"{assessment.part}: {assessment.conclusion}. {assessment.why}")
+        say(f"{assessment.part} {assessment.conclusion.capitalize()}. {assessment.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
     return 0
 

@@ -447,11 +447,11 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     if attraction > COHESIVE_SHARE:
         return _cohesion(touching, plan, attraction)
     if pair.approach**2 < AT_REST_SHARE * pair.impact_velocity**2:
-        return f"The contact is almost at rest: {_at_rest(touching, plan, pair)}"
+        return f"The contact is almost at rest: {_at_rest(touching, plan, pair, is_impact=True)}"
     reached = impact_overlap(plan.laws, touching, pair.impact_velocity)
     if reached < pair.overlap:
         alone = f"An impact at {pair.impact_velocity:.3g} m/s alone reaches {reached:.3g} of the radius"
-        return f"{alone}, other particles or walls press as well: {_at_rest(touching, plan, pair)}"
+        return f"{alone}: {_at_rest(touching, plan, pair)}"
     return _impact(touching, plan, pair.impact_velocity, reached)
 
 
@@ -476,7 +476,7 @@ def _impact(touching: PairCase, plan: Plan, velocity: float, largest: float) -> 
     )
 
 
-def _at_rest(touching: PairCase, plan: Plan, contact: ContactPair) -> str:
+def _at_rest(touching: PairCase, plan: Plan, contact: ContactPair, is_impact: bool = False) -> str:
     """Cause and remedy of an overlap that no impact of the two bodies alone explains.
 
     A static load, if the weight or a wall explains at least EXPLAINED of the overlap; otherwise other
@@ -495,7 +495,8 @@ def _at_rest(touching: PairCase, plan: Plan, contact: ContactPair) -> str:
         remedy = f"{_fixed_stiffness(plan)}, or {remedy}"
     by_load = static_overlap(plan.laws, touching, max(by_weight, by_wall))
     if by_load < EXPLAINED * contact.overlap:
-        return _moving_load(remedy, by_load)
+        possible = is_impact and contact.impact_velocity <= TOLERANCE * plan.impact_velocity.value
+        return _moving_load(remedy, by_load, contact.impact_velocity if possible else None)
     pressing = by_wall > by_weight
     names = ", ".join(f"walls.{each.name}" for each in plan.controlled_motions if each.force > 0.0)
     cause = (
@@ -516,15 +517,17 @@ def _fixed_stiffness(plan: Plan) -> str:
     )
 
 
-def _moving_load(remedy: str, by_load: float) -> str:
+def _moving_load(remedy: str, by_load: float, velocity: float | None) -> str:
     """Cause and remedy of an overlap that weight and walls do not explain.
 
-    `by_load`: the overlap that they explain, over the radius.
+    by_load:   the overlap that they explain, over the radius
+    velocity:  [m/s] of an impact that explains it; None if none does
     """
+    impact = "" if velocity is None else f"an impact at {velocity:.3g} m/s ends here, or "
     return (
-        f"weight and walls at rest explain only an overlap of {by_load:.2g} of the radius, so its cause is "
-        "not a static load, but other particles or a moving wall that press on this contact, as particles do "
-        f"that land on a bed: lower their velocity, or {remedy}."
+        f"{impact}other particles or a moving wall press on it, as particles do that land on a bed; weight "
+        f"and walls at rest explain only an overlap of {by_load:.2g} of the radius. Lower the velocity, or "
+        f"{remedy}."
     )
 
 

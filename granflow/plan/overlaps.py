@@ -506,8 +506,8 @@ def pressure_words(value: float) -> str:
 
 # The forecasts.
 
-LIMIT_MARGIN = 1.05
-"""Recommended over forecast overlap limit."""
+LIMIT_MARGIN = 1.3
+"""Recommended overlap limit over a forecast overlap of two bodies: others press as well while a bed forms."""
 
 
 def _forecast(

@@ -246,8 +246,18 @@ def _json_number(number: float) -> float | None:
 _COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
 _TOTAL = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
-_WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
-"""Totals and wall forces in the closing table; `result.json` contains all of them."""
+_WALL_FORCE_NAMES = {
+    "wall_force": "wall force, mean of the last stage",
+    "wall_force_last": "wall force at the end",
+    "wall_force_x_last": "wall force x at the end",
+    "wall_force_y_last": "wall force y at the end",
+    "wall_force_z_last": "wall force z at the end",
+    "wall_force_largest": "wall force, largest",
+    "wall_pressure": "wall pressure, mean of the last stage",
+    "wall_pressure_last": "wall pressure at the end",
+    "wall_pressure_largest": "wall pressure, largest",
+}
+"""Totals and wall forces in the closing table, with their words; `result.json` contains all of them."""
 
 
 def closing_table(result: Result, title: str = "Result") -> "Table":
@@ -313,12 +323,13 @@ def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str,
 
 
 def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
-    """Return the rows of force magnitudes and pressures; result.json also contains the components."""
-    shown = {
-        wall: {name: number for name, number in readings.items() if name in _WALL_FORCE_NAMES}
+    """Return the rows of forces and pressures: means of the last stage, and values at the end."""
+    return [
+        (f"{words}, {wall}", readable(readings[name]), unit_of(f"{name}.{wall}"))
         for wall, readings in result.wall_forces.items()
-    }
-    return _part_rows(shown)
+        for name, words in _WALL_FORCE_NAMES.items()
+        if name in readings
+    ]
 
 
 def _unit_text(name: str, number: float) -> str:

@@ -238,7 +238,7 @@ DECADE = 10.0
 
 @dataclass(frozen=True)
 class Assessment:
-    """A statement, whether it holds (None: not measured), and the numbers behind it as a sentence."""
+    """A question, whether the answer is yes (None: not measured), and the numbers behind it as a sentence."""
 
     part: str
     holds: bool | None
@@ -246,12 +246,12 @@ class Assessment:
 
     @property
     def conclusion(self) -> str:
-        """Whether the statement holds, as text."""
-        return {True: "holds", False: "does not hold", None: "not measured"}[self.holds]
+        """The answer as text."""
+        return {True: "yes", False: "no", None: "not measured"}[self.holds]
 
 
 def assess(columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]) -> list[Assessment]:
-    """Assess all statements, for binary collisions and for the scene; empty without a linear contact model.
+    """Answer all questions, for binary collisions and for the scene; empty without a linear contact model.
 
     `columns`: of collisions.csv, possibly empty; `runs`: of all variants.
     """
@@ -272,7 +272,7 @@ def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
     Theory: relative to those of Hertz, duration and overlap change by the factor 10^0.2 per decade of
     velocity.
     """
-    part = "A spring from one velocity is wrong an order of magnitude away from it"
+    part = "Is a spring from one velocity wrong at a tenth of it or at ten times of it?"
     slow = drift(columns, ONE_SPRING, 1.0 / DECADE)
     fast = drift(columns, ONE_SPRING, DECADE)
     if slow is None or fast is None:
@@ -293,7 +293,7 @@ def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
     The changes must be below TOLERANCE; constant deviations result from the linear spring and are only
     reported.
     """
-    part = "Eq. 19 per contact corrects it"
+    part = "Does Eq. 19 per contact correct this?"
     slow = drift(columns, PER_CONTACT, 1.0 / DECADE)
     fast = drift(columns, PER_CONTACT, DECADE)
     at_reference = deviation(columns, PER_CONTACT, "fine", 1.0)
@@ -346,7 +346,7 @@ def _assess_stability(columns: Mapping[str, np.ndarray]) -> Assessment:
 
     The measure is the effect of the time step on the restitution a decade above the reference velocity.
     """
-    part = "A spring from one velocity becomes unstable an order of magnitude away from it"
+    part = "Does a spring from one velocity become unstable at ten times of it?"
     laws = list(dict.fromkeys(columns["law"].tolist())) if columns else []
     effect_by_law = {law: _time_step_effect(columns, law) for law in laws}
     one_spring = effect_by_law.pop(ONE_SPRING, None)
@@ -379,8 +379,8 @@ def _assess_scene(runs: Sequence[VariantRun]) -> list[Assessment]:
 
     A deviation above TOLERANCE counts as wrong.
     """
-    one_spring_part = "In this scene one spring fails"
-    per_contact_part = "In this scene Eq. 19 per contact corrects it"
+    one_spring_part = "Is one spring for all contacts wrong in this scene?"
+    per_contact_part = "Does Eq. 19 per contact correct this in the scene?"
     by_key = {run.variant.key: run for run in runs}
     one_spring = by_key.get(ONE_SPRING)
     per_contact = by_key.get(PER_CONTACT)
