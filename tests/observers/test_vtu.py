@@ -41,6 +41,7 @@ def test_particles_are_read_back_exactly(tmp_path, count):
         "id", "radius", "diameter", "velocity", "angular_velocity", "force", "material", "group", "coordination_number",
         "wall_contact_count", "kinetic_energy", "fixed", "clump", "orientation", "liquid_film",
         "temperature",
+        "heat_source",
     }  # fmt: skip
     for name, values in mesh.point_data.items():
         np.testing.assert_array_equal(values, PARTICLE_QUANTITIES[name].for_file(particles[name]))
@@ -55,7 +56,7 @@ def test_field_data_state_the_unit_of_each_array(tmp_path, count):
     ParticleFrames(tmp_path, 0.1).observe(snapshot_of(particles=particles_of(3)))
     stated = {
         "particles": "radius [m], diameter [m], velocity [m/s], angular_velocity [rad/s], force [N], "
-        "kinetic_energy [J], liquid_film [m3], temperature [K]",
+        "kinetic_energy [J], liquid_film [m3], temperature [K], heat_source [W]",
         "contacts": "force [N], normal_force [N], tangential_force [N], overlap [m], overlap_max [m]",
     }
     for stem, names in stated.items():
