@@ -337,8 +337,17 @@ def _unit_text(name: str, number: float) -> str:
     return unit_of(name) + in_degrees(number, unit_of(name))
 
 
+_WORDS = {
+    "residence_time": "residence time, mean by number",
+    "residence_time_deviation": "residence time, deviation by number",
+    "residence_mean": "residence time, mean by mass",
+    "residence_deviation": "residence time, deviation by mass",
+}
+"""Words for numbers whose names do not tell how they differ."""
+
+
 def _label(name: str) -> str:
-    return name.replace("_", " ")
+    return _WORDS.get(name, name.replace("_", " "))
 
 
 # Evaluates the `expect:` block of a scene with the numbers of the completed run.

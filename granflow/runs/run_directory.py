@@ -259,11 +259,12 @@ class RunDirectory:
         if not written:
             note = f" The state is not finite and is not written; {self.shown} contains the earlier frames."
         command = f"granflow resume {shlex.quote(str(self.shown))}"
+        at = f"at {self.checkpoint_time:.6g} s"
         if change:
-            return f"{note} {command} --set {change} continues from the last good state."
+            return f"{note} {command} --set {change} continues from the last good state, {at}."
         return (
-            f"{note} {command} continues from the last good state, and stops here again unless the scene is "
-            "changed."
+            f"{note} {command} continues from the last good state, {at}, and stops here again unless the "
+            "scene is changed."
         )
 
     def _note_without_checkpoint(self, written: bool, change: str) -> str:

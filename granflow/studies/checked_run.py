@@ -164,11 +164,20 @@ def unknown_quantity(name: str, scene: Scene) -> str:
     if name in known:
         return ""
     near = nearest(name, known)
-    with_parts = ", ".join(each for each in known if "." in each and not each.startswith("timings."))
-    remedy = (
-        f"Did you mean {near}?" if near else f"Apart from totals such as kinetic_energy it has {with_parts}."
+    reason = f"{name} is not a number of a run of {scene.path.name or 'the scene'}."
+    if name == "warnings":
+        return f"{reason} sweep.csv and runs.csv have a column with the warnings in any case."
+    if near:
+        return f"{reason} Did you mean {near}?"
+    means = tuple(f"{each}." for each in STAGE_QUANTITIES)
+    with_parts = ", ".join(
+        each for each in known if "." in each and not each.startswith(("timings.", *means))
     )
-    return f"{name} is not a number of a run of {scene.path.name or 'the scene'}. {remedy}"
+    stage = scene.stage_names[-1]
+    return (
+        f"{reason} It has totals such as kinetic_energy, their means and largest values such as "
+        f"kinetic_energy_mean.{stage}{f', and {with_parts}' if with_parts else ''}."
+    )
 
 
 PHASES = ("neighbor_list", "forces", "integration", "output", "compile", "exchange", "waiting")

@@ -24,7 +24,9 @@ from granflow.fields import (
     FIELD_QUANTITIES,
     FLOW_METER_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
+    WEAR_QUANTITIES,
 )
 from granflow.io.files import write_text
 from granflow.io.frames import is_empty, listed_frames, read_mesh
@@ -336,8 +338,16 @@ FORCE_CAPTION = (
 EXPECTED = "Expectations"
 FORCES = "Wall forces"
 ENERGIES = "Energy budget"
+HEAT = "Heat"
+WEAR = "Wear of walls"
 OTHERS = "Over time"
 """Titles of topics."""
+TABLE_CAPTIONS = {
+    ENERGIES: "Energies in J, without heat.",
+    HEAT: "Temperatures in K, heat in J. Heat is no part of the mechanical energy budget.",
+    WEAR: "Worn volumes in m3, depths in m, work of the contacts in J: sums since the start.",
+}
+"""Captions of the topics whose table has the first, last and largest value of each column."""
 READINGS = {
     "Metrics": Readings(METRIC_QUANTITIES, "metrics", METRIC_CAPTION),
     "Flow": Readings(FLOW_METER_QUANTITIES, "flow_meters", FLOW_CAPTION),
@@ -380,7 +390,7 @@ def is_zero(column: SeriesColumn) -> bool:
 
 
 def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
-    """Sections of metrics, flow, wall forces, energy budget, and all other quantities over time.
+    """Sections of metrics, flow, wall forces, energy budget, heat, wear, and all other quantities over time.
 
     Columns of zeros are listed instead of plotted, a plot of expected quantities only is not repeated, and
     small components of forces and torques are folded. Without an energy budget, energies are among the other
@@ -392,7 +402,7 @@ def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
         return
     shown_before = {column.name for column in _expected_columns(record)}
     has_budget = any(column.name in ENERGY_BUDGET_QUANTITIES for column in series.columns)
-    for title in (*READINGS, ENERGIES, OTHERS):
+    for title in (*READINGS, ENERGIES, HEAT, WEAR, OTHERS):
         columns = [each for each in _columns_of(title, series, has_budget) if not is_zero(each)]
         small = negligible_columns(_columns_of(FORCES, series), SMALL) if title == FORCES else []
         tables, folded = _folded(_tables(record, title, has_budget), small)
@@ -410,6 +420,10 @@ def topic_of(column: SeriesColumn, has_budget: bool = True) -> str:
     """Title of the topic of a column; energies have their own only in a run with an energy budget."""
     quantity, _, part = column.name.partition(".")
     topics = (title for title, readings in READINGS.items() if part and quantity in readings.quantities)
+    if quantity in WEAR_QUANTITIES:
+        return WEAR
+    if "heat" in quantity.split("_") or quantity.startswith("temperature"):
+        return HEAT
     is_energy = has_budget and (column.unit == "J" or quantity.startswith("energy"))
     return next(topics, ENERGIES if is_energy else OTHERS)
 
@@ -423,7 +437,9 @@ def _tables(record: Run, title: str, has_budget: bool) -> list[PageTable]:
     """Tables of a topic."""
     if title in READINGS:
         return _readings(record, title)
-    return _energy_budget(record.series.columns) if title == ENERGIES and has_budget and record.series else []
+    if title not in TABLE_CAPTIONS or record.series is None:
+        return []
+    return _first_and_last(_columns_of(title, record.series, has_budget), TABLE_CAPTIONS[title])
 
 
 def _sentences(record: Run, title: str, has_table: bool) -> list[str]:
@@ -527,22 +543,23 @@ NEGLIGIBLE = 1e-15
 """Share of its largest value in the run below which a quantity is rounding, and shown as 0."""
 
 
-def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
-    """Each energy at the start and at the end, and its largest absolute value [J].
+def _first_and_last(columns: Iterable[SeriesColumn], caption: str) -> list[PageTable]:
+    """Each quantity at the start and at the end, and its largest absolute value.
 
     Values below NEGLIGIBLE of the largest one are shown as 0.
     """
+    meanings = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES, **WEAR_QUANTITIES}
     rows = []
     for column in columns:
-        if column.unit == "J" and not is_zero(column):
-            known = TOTAL_QUANTITIES.get(column.name)
+        if column.unit not in ("", "1") and not is_zero(column):
+            known = meanings.get(column.name.partition(".")[0])
             values = column.values[np.isfinite(column.values)]
             numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
             kept = (number if abs(number) > NEGLIGIBLE * abs(numbers[-1]) else 0.0 for number in numbers)
             rows.append(
                 [column.text, *(f"{number + 0.0:.4g}" for number in kept), known.meaning if known else ""]
             )
-    return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
+    return [PageTable(("", "first", "last", "largest", "meaning"), rows, caption)] if rows else []
 
 
 # Sizes of the particles

@@ -62,7 +62,7 @@ class PointRow:
     @property
     def warnings(self) -> str:
         """The different warnings of the runs."""
-        return " ".join(dict.fromkeys(sentence for each in self.runs for sentence in each.warnings))
+        return SEPARATOR.join(dict.fromkeys(sentence for each in self.runs for sentence in each.warnings))
 
     def mean(self, name: str) -> float:
         """Mean of a number over the seeds whose runs have it; nan without."""
@@ -91,6 +91,8 @@ class PointRow:
         return [each.run.directory.name for each in self.runs if each.run is not None]
 
 
+SEPARATOR = " | "
+"""Between the warnings of a run in a table."""
 STANDARD_ERROR = "standard_error"
 """Prefix of the columns with the standard errors of the means over seeds."""
 
@@ -141,7 +143,7 @@ class SweepTable:
         found["seed"] = [each.run.seed if each.run else None for _, each in pairs]
         found["status"] = [each.outcome.status for _, each in pairs]
         found["reason"] = [each.outcome.reason for _, each in pairs]
-        found["warnings"] = [" ".join(each.warnings) for _, each in pairs]
+        found["warnings"] = [SEPARATOR.join(each.warnings) for _, each in pairs]
         found["seconds"] = [_cell(each.outcome.seconds) for _, each in pairs]
         for name in self.quantities:
             found[label(name)] = [_cell(each.numbers.get(name, nan)) for _, each in pairs]

@@ -49,7 +49,8 @@ def test_command_of_an_abort_continues_with_the_bits_of_a_run_without_limit(
     accepted = float(command.rpartition("=")[2])
     assert low < accepted <= high
     assert main(["resume", str(tmp_path / "run"), "--threads", "2"]) == gf.RunError.exit_code
-    assert copies == "first" or message in capsys.readouterr().err
+    without_time = message.rpartition(", at ")[0]  # the resumed run has kept a later state
+    assert copies == "first" or without_time in capsys.readouterr().err
 
     plan = replace(gf.plan_for(scene(high)), saved_sum_units=gf.plan_for(scene(low)).sum_units)
     assert gf.plan_for(scene(high)).sum_units != plan.sum_units

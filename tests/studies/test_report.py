@@ -199,7 +199,7 @@ def test_expected_quantities_are_first(run):
     names = [curve["name"] for plot in topic.plots for curve in plot.figure["data"]]
     assert names == ["kinetic energy"]
     text = text_of(run)
-    assert text.index("it is <2>.") < text.index("Energies in J.")
+    assert text.index("it is <2>.") < text.index("Energies in J, without heat.")
     assert captions_of(record).count("Energy (J) over time") == 1, (
         "kinetic energy is also in the plot of energies"
     )
