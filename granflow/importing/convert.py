@@ -176,7 +176,17 @@ def convert(
         except GranflowError:
             code = "liggghts"  # the same error follows below, with its line
     report = Report()
-    interpreter = Interpreter(given=settings)
+
+    def executed(command: Command, problem: str) -> None:
+        """Report a command of the language itself."""
+        if problem:
+            report.entry(command).impossible(problem, "run it before the import")
+        elif command.name == "shell":
+            report.entry(command).not_needed("granflow makes the folders of its output")
+        else:
+            report.entry(command).not_needed("executed: the scene has the result")
+
+    interpreter = Interpreter(given=settings, on_executed=executed)
     deck = Deck(code, interpreter, report, units="si" if code == "liggghts" else "lj")
     deck.family["folder"] = path.parent
     deck.automatic_step = automatic_step
@@ -192,8 +202,6 @@ def convert(
         _tell_box(deck)
         if command.name == "clear":
             break
-    for command, reason, alternative in interpreter.problems:
-        report.entry(command).impossible(reason, alternative)
     try:
         texts = _texts(deck, path, name or path.stem)
     except GranflowError:

@@ -26,6 +26,8 @@ MOST_FILLED = 0.4
 """Largest solid fraction that insert/pack reaches, relative to the volume of the centers; measured with "
 "LIGGGHTS."""
 """The nearest alternative of a change of particles after the first run."""
+MOST_DRAWS = 1000
+"""Number of draws of random points after which a region is taken to be empty."""
 BURST = 0.02
 """Duration of the insertion of a batch over the time between two batches."""
 
@@ -743,7 +745,12 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     if mean_speed:
         keys["velocity"] = quantities([mean_speed * each / g if g else 0.0 for each in gravity], "velocity")
     flows = pour_flows(given.count, batch, time, start, end)
-    if len(flows) > 1:
+    if given.count <= batch and len(flows) == 1:
+        fix.entry.approximated(
+            f"the particles enter within {BURST * time:.2g} s, not in one step, with the mean velocity of "
+            "the fall through the region"
+        )
+    elif len(flows) > 1:
         fix.entry.approximated(
             f"a batch of {batch:g} particles every {time:.3g} s enters within {BURST * time:.2g} s, with the "
             "mean velocity of the fall through the region"
@@ -858,9 +865,10 @@ def _add_points(
 ) -> None:
     """Add particles at given positions."""
     found: Points | None = deck.family.get("points")
+    type = np.array(type, int)
     if found is None:
         deck.family["points"] = Points(
-            np.array(type, int), np.array(radius, float), np.array(density, float), np.array(position, float),
+            type, np.array(radius, float), np.array(density, float), np.array(position, float),
             np.array(motion, float), [entry],
         )  # fmt: skip
         return
@@ -886,17 +894,32 @@ def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
         _add_points(deck, [type], [0.5 * unit], [deck.si(1.0, "density")], [place], [[0.0] * 6], entry)
     elif style == "random":
         count = words.whole("the number")
-        words.word("the seed")
+        random = np.random.default_rng(words.whole("the seed"))
         name = words.word("the name of a region")
-        box = deck.box or (0.0,) * 6
-        extent = box if name == "NULL" else extent_of(deck, region_of(deck, command, name))
-        random = np.random.default_rng(1)
-        point = random.uniform(extent[::2], extent[1::2], (count, 3))
+        point = _random_points(deck, command, random, count, name)
         ones = np.ones(count)
-        entry.approximated("random positions differ from those of the code")
+        entry.approximated(
+            "random positions differ from those of the code; where they overlap more than granflow permits, "
+            "kind: pack places the particles"
+        )
         _add_points(deck, type * ones, 0.5 * ones, ones, point, np.zeros((count, 6)), entry)
     else:
         entry.impossible(f"create_atoms {style}", "insert: {kind: lattice, region: ...}")
+
+
+def _random_points(
+    deck: Deck, command: Command, random: np.random.Generator, count: int, name: str
+) -> np.ndarray:
+    """Random points (count, 3) [m] in a region, or in the box for NULL. Raises DeckError."""
+    region = None if name == "NULL" else region_of(deck, command, name)
+    extent = (deck.box or (0.0,) * 6) if region is None else extent_of(deck, region)
+    found = np.zeros((0, 3))
+    for _ in range(MOST_DRAWS):
+        points = random.uniform(extent[::2], extent[1::2], (count, 3))
+        found = np.concatenate([found, points if region is None else points[contains(deck, region, points)]])
+        if len(found) >= count:
+            return found[:count]
+    raise DeckError(command, f"the region {name} has no volume inside the box.")
 
 
 def delete_atoms(deck: Deck, command: Command, entry: Entry) -> None:

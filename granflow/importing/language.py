@@ -20,6 +20,12 @@ MOST_COMMANDS = 100_000
 """Number of executed commands above which a script is taken for an endless loop."""
 MOST_INCLUDES = 20
 """Depth of nested files above which they are taken to include each other."""
+FOREIGN = ("shell", "python", "partition")
+"""Commands that run another program."""
+FILE_COMMANDS = (("mkdir",), ("rm",), ("rmdir",))
+"""Words of shell that prepare folders for output."""
+OWN = {*("variable", "include", "jump", "label", "echo", "log", "print", "info", "next", "quit"), *FOREIGN}
+"""Commands of the language itself."""
 LOOPED = ("index", "loop", "string", "universe", "uloop", "world")
 """Styles of variables whose values are texts."""
 
@@ -178,8 +184,8 @@ class Interpreter:
     facts: dict[str, float] = field(default_factory=lambda: {"step": 0.0, "elapsed": 0.0, "time": 0.0})
     variables: dict[str, Variable] = field(default_factory=dict)
     printed: list[str] = field(default_factory=list)
-    problems: list[tuple[Command, str, str]] = field(default_factory=list)
-    """Commands of the language that are not translated, with the reason and an alternative."""
+    on_executed: Callable[[Command, str], None] = lambda command, problem: None
+    """Called with each executed command of the language, and why it has no counterpart (mostly empty)."""
     _executed: int = 0
     _seek: str | None = None
     """Label to which a jump goes."""
@@ -236,6 +242,9 @@ class Interpreter:
             )
         if line.head == "if":
             words = split_words(line, line.text)[1:]
+            self.on_executed(
+                Command("if", tuple(words), line.file, line.line, " ".join(line.text.split())), ""
+            )
             for chosen in self._branch(line, [self._substitute(line, each) for each in words]):
                 yield from self._execute(Line(line.file, line.line, chosen), path, depth)
             return
@@ -250,6 +259,9 @@ class Interpreter:
     def _own(self, command: Command, line: Line, path: Path, depth: int) -> Iterator[Command | Path]:
         """Execute a command of the language, or yield it."""
         words = command.words
+        if command.name in OWN:
+            is_foreign = command.name in FOREIGN and words[:1] not in FILE_COMMANDS
+            self.on_executed(command, f"{command.name} runs another program" if is_foreign else "")
         match command.name:
             case "variable":
                 self._variable(command)
@@ -270,9 +282,7 @@ class Interpreter:
             case "quit":
                 self._stopped = True
             case "shell" | "python" | "partition":
-                self.problems.append(
-                    (command, f"{command.name} runs another program", "run it before the import")
-                )
+                pass  # reported above
             case _:
                 yield command
 

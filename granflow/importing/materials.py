@@ -694,8 +694,19 @@ class Contacts:
         poisson = self._number("poissonsRatio", model, type)
         if model.normal in ("hooke", "hooke/hysteresis"):
             # kt = kn: with nu = 0 and the same plane-strain modulus the ratio 4 G*/E* is 1.
+            self._remark_on_modulus(type, young, poisson)
             return young / (1.0 - poisson**2), 0.0
         return young, poisson
+
+    def _remark_on_modulus(self, type: int, young: float, poisson: float) -> None:
+        """Say which modulus of a type gives the stiffness of the model hooke without a Poisson ratio."""
+        if poisson:
+            properties = self.deck.own("properties", dict)
+            for name in ("youngsModulus", "poissonsRatio"):
+                properties[name].entry.translated(
+                    f"type {type}: E / (1 - nu^2) = {young / (1.0 - poisson**2):.6g} Pa with the Poisson "
+                    "ratio 0, which has the same normal stiffness and kt = kn, as the model hooke"
+                )
 
     def _moduli_of(self, model: Model, i: int, j: int) -> tuple[float, float]:
         """Moduli for the stiffnesses of a model: those that give kt/kn, and for a Hertz spring kn.

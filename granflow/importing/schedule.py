@@ -53,6 +53,8 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
         deck.interpreter.facts["dt"] = default
     end = deck.time + steps * deck.time_step
     active = tuple(deck.fixes)
+    if steps == 0:
+        entry.not_needed("it has no steps")
     deck.runs.append(Run(deck.time, end, deck.time_step, steps, deck.step, entry, active))
     for follow in deck.own("at_run", list):
         follow(deck, deck.runs[-1])
@@ -353,7 +355,7 @@ def stages_of_runs(deck: Deck, runs: Sequence[Run]) -> list[str] | None:
 
 def _stages(deck: Deck, draft: Draft) -> None:
     runs = [run for run in deck.runs if run.steps]
-    entries = [run.entry for run in deck.runs]
+    entries = [run.entry for run in runs]
     names = stage_names(deck)
     if not names:
         draft.put(("run", "duration"), quantity(sum(run.end - run.start for run in runs), "time"), *entries)
@@ -368,6 +370,12 @@ def _stages(deck: Deck, draft: Draft) -> None:
 def _damping(deck: Deck, draft: Draft) -> None:
     for fix in deck.fixes_of("viscous"):
         if not deck.acting(fix) or not isinstance(fix.data, float):
+            continue
+        if "lees_edwards" in deck.family:
+            fix.entry.impossible(
+                "drag in a box that is sheared, in which no frame is at rest",
+                "a scene that settles the particles with damping, and one that shears them (start_from)",
+            )
             continue
         masses = [
             each.density * 4.18879020479 * radius**3 for each in deck.particles for radius in each.radii

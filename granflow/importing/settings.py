@@ -54,6 +54,9 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
         _set_property(deck, words, entry, style, which)
         return
     points: Points | None = deck.family.get("points")
+    if points is None and deck.time == 0.0:
+        entry.not_needed("the box has no particles yet, so that it changes none")
+        return
     if points is None or deck.time > 0.0:
         entry.impossible("changes of particles during the simulation", CHANGES)
         return
@@ -91,6 +94,9 @@ def velocity(deck: Deck, command: Command, entry: Entry) -> None:
     points: Points | None = deck.family.get("points")
     if points is not None and deck.time > 0.0:
         entry.impossible("changes of particles during the simulation", CHANGES)
+        return
+    if points is None and deck.time == 0.0:
+        entry.not_needed("the box has no particles yet, so that it changes none")
         return
     if style != "set" or points is None:
         entry.impossible(f"velocity {style}", "velocity or thermal of the group")

@@ -259,7 +259,13 @@ def test_batches_of_pour():
 def test_every_line_has_a_remark(tmp_path):
     found, _ = imported(tmp_path, liggghts())
     assert len(list(found.report.lines())) == liggghts().count("\n") - 2  # the empty first and third lines
+    end = 'shell mkdir post\nvariable n equal 5\nif "$n > 4" then "run $n" else "run 1"\nrun 5 upto'
     assert found.report.is_complete
+    found, _ = imported(tmp_path, liggghts(end=end))
+    assert found.report.is_complete
+    assert remarks(found, "mkdir") == [("not needed", "granflow makes the folders of its output")]
+    assert remarks(found, "variable n")[0][1] == "executed: the scene has the result"
+    assert [sentence for _, sentence in remarks(found, "run")][-1] == "it has no steps"
     kind, sentence = remarks(found, "m4 all")[0]
     assert (kind, sentence) == ("translated", "pairs.NAME.friction")
 
@@ -271,7 +277,7 @@ def test_every_line_has_a_remark(tmp_path):
         ("fix h all wonder 1\nrun 10", "wonder", "fix wonder is not known"),
         ("marvel 1\nrun 10", "marvel", "the command marvel is not known"),
         ("compute c all rainbow\nrun 10", "rainbow", "compute rainbow"),
-        ("shell mkdir x\nrun 10", "shell", "shell runs another program"),
+        ("shell python x\nrun 10", "shell", "shell runs another program"),
         ("run 10\nclear", "clear", "a second simulation"),
         (
             "fix w2 all wall/grann model hertz\nrun 10",
@@ -408,6 +414,36 @@ def test_settings_that_have_no_effect_or_no_counterpart(tmp_path, end, fragment,
     found, scene = imported(tmp_path, text)
     assert any(sentence in each for _, each in remarks(found, fragment)), remarks(found, fragment)
     assert "stages" not in scene or all("set" not in stage for stage in scene["stages"])
+
+
+def test_modulus_of_the_model_hooke(tmp_path):
+    """The line of the modulus says where the number of the scene is from: 5 MPa / (1 - 0.45^2)."""
+    properties = "fix m5 all property/global characteristicVelocity scalar 2"
+    found, scene = imported(tmp_path, liggghts(properties=properties, model="model hooke tangential history"))
+    assert scene["materials"]["type1"] == {
+        "young_modulus": "6.26959247649 MPa",
+        "poisson_ratio": 0,
+        "density": 2500,
+    }
+    for line in ("youngsModulus", "poissonsRatio"):
+        assert "type 1: E / (1 - nu^2) = 6.26959e+06 Pa" in remarks(found, line)[0][1]
+
+
+def test_random_particles_in_a_sheared_box(tmp_path):
+    """Two calls have different points, all in their region; a drag is refused together with the shear."""
+    head = LAMMPS.format(model="pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1")
+    atoms = """region c cylinder z 0.05 0.05 0.03 0.05 0.15
+create_atoms 1 random 20 1 c
+create_atoms 1 random 20 2 c
+set group all diameter 0.004 density 2500
+fix v all viscous 1e-3
+fix s all deform 1 xy erate 2 remap v"""
+    text = head.replace("fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500", atoms)
+    found, scene = imported(tmp_path, text.replace("boundary p p f", "boundary p p p"))
+    rows = [list(map(float, row.split(","))) for row in found.files["type1.csv"].decode().splitlines()[1:]]
+    assert len({tuple(row) for row in rows}) == 40 and "start_type1" in scene["particles"]
+    assert all((x - 0.05) ** 2 + (y - 0.05) ** 2 < 0.03**2 and 0.05 < z < 0.15 for x, y, z, _ in rows)
+    assert remarks(found, "viscous")[0][0] == "not possible" and "damping" not in scene
 
 
 def test_gravity_that_changes_makes_a_second_scene(tmp_path):
