@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
 
@@ -160,6 +162,18 @@ class ParticleGroup:
 
 
 @dataclass
+class Points:
+    """Particles at the start, one row each: type, radius [m], density [kg/m3], position, velocity, spin."""
+
+    type: np.ndarray
+    radius: np.ndarray
+    density: np.ndarray
+    position: np.ndarray
+    motion: np.ndarray
+    entries: list[Entry]
+
+
+@dataclass
 class Deck:
     """What a script has said so far."""
 
@@ -248,6 +262,11 @@ class Words:
         found = self.words[self.at :]
         self.at = len(self.words)
         return found
+
+    def rest_has(self, *given: str) -> bool:
+        """Whether the words that are left contain these words one after the other."""
+        left = self.words[self.at :]
+        return any(left[k : k + len(given)] == given for k in range(len(left)))
 
     def skip(self) -> None:
         """Read all words that are left without using them."""

@@ -146,6 +146,8 @@ def _freeze(deck: Deck) -> None:
             frozen = list(deck.particles)
         elif group is not None and group.rule == "type" and all(each.isdigit() for each in group.words):
             frozen = [each for each in deck.particles if str(each.type) in group.words]
+        elif any("fixed" in each.keys for each in deck.particles):
+            frozen = []  # particles at given positions, which are fixed already
         else:
             fix.entry.impossible(
                 f"particles of the group {fix.group} that do not move",

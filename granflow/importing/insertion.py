@@ -9,11 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from granflow.importing.deck import Deck, Fix, ParticleGroup, Region, Translation, Vector, Words, impossible
+from granflow.importing.deck import (
+    Deck,
+    Fix,
+    ParticleGroup,
+    Points,
+    Region,
+    Translation,
+    Vector,
+    Words,
+    impossible,
+)
+from granflow.importing.groups import fixed_points
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import material_of
 from granflow.importing.meshes import flat_face
-from granflow.importing.regions import contains, region_of
+from granflow.importing.regions import BASIS, contains, region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
 from granflow.io.tables import is_number
@@ -26,6 +37,8 @@ MOST_FILLED = 0.4
 """Largest solid fraction that insert/pack reaches, relative to the volume of the centers; measured with "
 "LIGGGHTS."""
 """The nearest alternative of a change of particles after the first run."""
+MOST_CELLS = 1_000_000
+"""Number of cells of a lattice above which its scale is taken to be wrong."""
 MOST_DRAWS = 1000
 """Number of draws of random points after which a region is taken to be empty."""
 BURST = 0.02
@@ -848,18 +861,6 @@ def read_data(deck: Deck, command: Command, entry: Entry) -> None:
     _add_points(deck, table[:, 1], table[:, 2] / 2.0, table[:, 3], table[:, 4:7], motion, entry)
 
 
-@dataclass
-class Points:
-    """Particles at the start, one row each: type, radius [m], density [kg/m3], position, velocity, spin."""
-
-    type: np.ndarray
-    radius: np.ndarray
-    density: np.ndarray
-    position: np.ndarray
-    motion: np.ndarray
-    entries: list[Entry]
-
-
 def _add_points(
     deck: Deck, type: Any, radius: Any, density: Any, position: Any, motion: Any, entry: Entry
 ) -> None:
@@ -884,27 +885,62 @@ def _add_points(
 
 
 def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
-    """create_atoms TYPE single X Y Z | random N SEED REGION | region ID | box"""
+    """create_atoms TYPE single X Y Z | random N SEED REGION | region ID | box [units box|lattice]"""
     words = Words(deck, command, command.words)
     type = words.whole("the type")
     style = words.word("the style")
+    spacing = 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
     if style == "single":
         place = words.vector("the position", "length")
-        unit = deck.si(1.0, "length")
-        _add_points(deck, [type], [0.5 * unit], [deck.si(1.0, "density")], [place], [[0.0] * 6], entry)
+        points = spacing * np.array([place])
     elif style == "random":
         count = words.whole("the number")
         random = np.random.default_rng(words.whole("the seed"))
-        name = words.word("the name of a region")
-        point = _random_points(deck, command, random, count, name)
-        ones = np.ones(count)
+        points = _random_points(deck, command, random, count, words.word("the name of a region"))
         entry.approximated(
             "random positions differ from those of the code; where they overlap more than granflow permits, "
             "kind: pack places the particles"
         )
-        _add_points(deck, type * ones, 0.5 * ones, ones, point, np.zeros((count, 6)), entry)
+    elif style in ("region", "box"):
+        region = region_of(deck, command, words.word("the name of a region")) if style == "region" else None
+        points = lattice_points(deck, command)
+        if region is not None:
+            points = points[contains(deck, region, points)]
+            region.entry.translated("particles")
     else:
         entry.impossible(f"create_atoms {style}", "insert: {kind: lattice, region: ...}")
+        return
+    while words:
+        key = words.word("a keyword")
+        if key != "units":
+            entry.impossible(f"the keyword {key} of create_atoms", "particles of a file: read_data")
+            words.skip()
+        elif words.word("box or lattice") not in ("box", "lattice"):
+            raise DeckError(command, "units is box or lattice.")
+    count = len(points)
+    ones = np.ones(count)
+    radius, density = 0.5 * deck.si(1.0, "length"), deck.si(1.0, "density")
+    _add_points(deck, type * ones, radius * ones, density * ones, points, np.zeros((count, 6)), entry)
+
+
+def lattice_points(deck: Deck, command: Command) -> np.ndarray:
+    """The points (n, 3) [m] of the lattice in the box, without those on its upper faces. Raises DeckError."""
+    places = BASIS.get(deck.family.get("lattice_style", ""), ())
+    if not places or deck.box is None:
+        raise DeckError(
+            command, "particles on a lattice need create_box and a lattice, such as lattice sc 0.001."
+        )
+    spacing = deck.si(float(deck.family["lattice"]), "length")
+    low, high = np.array(deck.box[::2]), np.array(deck.box[1::2])
+    cells = [
+        np.arange(np.floor(a / spacing) - 1, np.ceil(b / spacing) + 1) for a, b in zip(low, high, strict=True)
+    ]
+    if np.prod([float(len(each)) for each in cells]) > MOST_CELLS:
+        raise DeckError(command, f"the lattice has more than {MOST_CELLS} cells in the box; check its scale.")
+    corners = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    points = (spacing * (corners + np.array(places))).reshape(-1, 3)
+    slack = 1e-6 * (high - low)
+    return np.asarray(points[((points >= low - slack) & (points < high - slack)).all(axis=1)])
 
 
 def _random_points(
@@ -943,23 +979,28 @@ def add_points(deck: Deck, draft: Draft) -> None:
     points: Points | None = deck.family.get("points")
     if points is None or not len(points.type):
         return
-    kinds = sorted(set(zip(points.type.tolist(), points.density.tolist(), strict=True)))
-    for type, density in kinds:
-        rows = (points.type == type) & (points.density == density)
+    held = fixed_points(deck, points)
+    columns = (points.type.tolist(), points.density.tolist(), held.tolist())
+    kinds = sorted(set(zip(*columns, strict=True)))
+    for type, density, is_held in kinds:
+        rows = (points.type == type) & (points.density == density) & (held == is_held)
         name = (
             f"type{type}"
-            if len({t for t, _ in kinds}) == len(kinds)
+            if len({t for t, _, _ in kinds}) == len({(t, d) for t, d, _ in kinds})
             else f"type{type}_{density:g}".replace(".", "_")
         )
-        columns = [points.position[rows], points.radius[rows, None]]
+        name += "_fixed" if is_held else ""
+        table = [points.position[rows], points.radius[rows, None]]
         heads = ["x", "y", "z", "r"]
-        if points.motion[rows].any():
-            columns.append(points.motion[rows])
+        if points.motion[rows].any() and not is_held:
+            table.append(points.motion[rows])
             heads += ["vx", "vy", "vz", "wx", "wy", "wz"]
-        lines = [",".join(heads)] + [",".join(f"{v:.15g}" for v in row) for row in np.hstack(columns)]
+        lines = [",".join(heads)] + [",".join(f"{v:.15g}" for v in row) for row in np.hstack(table)]
         file = draft.add_file(f"{name}.csv", ("\n".join(lines) + "\n").encode())
         radii = (float(points.radius[rows].min()), float(points.radius[rows].max()))
-        keys = {"insert": {"kind": "file", "file": file}}
+        keys: dict[str, Any] = {"insert": {"kind": "file", "file": file}}
+        if is_held:
+            keys["fixed"] = True
         deck.particles.append(
             ParticleGroup(f"start_{name}", type, density, radii, keys, tuple(points.entries))
         )
@@ -984,7 +1025,9 @@ COMMANDS: dict[str, Translation] = {
     "read_data": Translation(
         read_data, "particles.NAME.insert (kind: file)", "atom_style sphere or granular"
     ),
-    "create_atoms": Translation(create_atoms, "particles.NAME.insert (kind: file)", "single and random"),
+    "create_atoms": Translation(
+        create_atoms, "particles.NAME.insert (kind: file)", "single, random, region, box"
+    ),
     "delete_atoms": Translation(delete_atoms, "particles", "region, before the first run"),
     "displace_atoms": impossible("displacement of particles", "other positions in the table"),
     "molecule": impossible("molecules", "clumps: particles.NAME.clump"),

@@ -341,8 +341,16 @@ def _in_shape(deck: Deck, region: Region, points: np.ndarray) -> np.ndarray:
 
 # Lattices and groups
 
-BASIS = {"none": 1.0, "sc": 1.0, "bcc": 2.0, "fcc": 4.0, "diamond": 8.0}
-"""Particles in the cell of a lattice."""
+_FACES = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))
+
+BASIS: dict[str, tuple[Vector, ...]] = {
+    "none": (),
+    "sc": ((0.0, 0.0, 0.0),),
+    "bcc": ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5)),
+    "fcc": _FACES,
+    "diamond": (*_FACES, *((x + 0.25, y + 0.25, z + 0.25) for x, y, z in _FACES)),
+}
+"""Positions of the particles in the cell of a lattice, in cells."""
 
 
 def lattice(deck: Deck, command: Command, entry: Entry) -> None:
@@ -354,7 +362,8 @@ def lattice(deck: Deck, command: Command, entry: Entry) -> None:
         entry.impossible(f"the lattice {' '.join(command.words)}", f"one of {', '.join(BASIS)}, or units box")
         return
     is_density = deck.units == "lj" and style != "none"
-    deck.family["lattice"] = (BASIS[style] / scale) ** (1.0 / 3.0) if is_density else scale
+    deck.family["lattice_style"] = style
+    deck.family["lattice"] = (len(BASIS[style]) / scale) ** (1.0 / 3.0) if is_density else scale
     entry.not_needed("lengths are converted")
 
 

@@ -473,8 +473,8 @@ COMMANDS: dict[str, Translation] = {
 FIXES: dict[str, Translation] = {
     "gravity": Translation(gravity, "gravity", "one value for the whole run"),
     "viscous": Translation(viscous, "damping.drag", "a rate: the coefficient over the mass"),
-    "nve/sphere": not_needed("all particles are integrated"),
-    "nve": not_needed("all particles are integrated"),
+    "nve/sphere": not_needed("particles that are not fixed are integrated"),
+    "nve": not_needed("particles that are not fixed are integrated"),
     "nve/limit": impossible("a limit of the displacement", "kind: pack, which inserts without overlap"),
     "check/timestep/gran": not_needed("granflow check verifies the time step"),
     "print": not_needed("timeseries.csv has the results"),

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from granflow.importing.deck import Deck, Fix, Group, Region, Translation, Words
+from granflow.importing.deck import Deck, Fix, Points, Region, Translation, Words
+from granflow.importing.groups import chosen_points, group_named, in_range
 from granflow.importing.heat import HEAT
-from granflow.importing.insertion import Points, group_name
+from granflow.importing.insertion import group_name
 from granflow.importing.language import Command, DeckError
-from granflow.importing.regions import contains, region_of
+from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, number, quantities, quantity
 from granflow.importing.schedule import stage_names
@@ -60,7 +61,7 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
     if points is None or deck.time > 0.0:
         entry.impossible("changes of particles during the simulation", CHANGES)
         return
-    chosen = _chosen(deck, command, points, style, which)
+    chosen = chosen_points(deck, command, points, style, which)
     if chosen is None:
         entry.impossible(f"the particles of {style} {which}", "set region, type or atom")
         return
@@ -101,15 +102,16 @@ def velocity(deck: Deck, command: Command, entry: Entry) -> None:
     if style != "set" or points is None:
         entry.impossible(f"velocity {style}", "velocity or thermal of the group")
         return
-    chosen = _chosen(deck, command, points, "group", group)
+    chosen = chosen_points(deck, command, points, "group", group)
     if chosen is None:
         entry.impossible(f"the velocities of the group {group}", "a group of a region, type or id")
         return
+    spacing = 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
     for k in range(3):
         if words.next == "NULL":
             words.word("a velocity")
         else:
-            points.motion[chosen, k] = words.number("a velocity", "velocity")
+            points.motion[chosen, k] = spacing * words.number("a velocity", "velocity")
     entry.translated("particles")
 
 
@@ -162,56 +164,7 @@ def property_atom(deck: Deck, fix: Fix) -> None:
     )
 
 
-# Which particles
-
-
-def _chosen(deck: Deck, command: Command, points: Points, style: str, which: str) -> Any:
-    """Mask (n,) of the particles that a style and a name choose; None if it is not known."""
-    everything = np.ones(len(points.type), bool)
-    if style == "group":
-        return everything if which == "all" else _members(deck, command, points, which)
-    if style in ("type", "atom"):
-        numbers = points.type if style == "type" else np.arange(1, len(points.type) + 1)
-        return _in_range(command, numbers, which)
-    if style == "region":
-        return contains(deck, region_of(deck, command, which), points.position)
-    raise DeckError(command, f"set has no style {style}; it has group, type, atom and region.")
-
-
-def _in_range(command: Command, numbers: np.ndarray, which: str) -> np.ndarray:
-    """Whether numbers (n,) are in a range such as 3, 2*4, *4 or 2*. Raises DeckError."""
-    low, star, high = which.partition("*")
-    if not all(each.isdigit() or (star and not each) for each in (low, high if star else low)):
-        raise DeckError(command, f"{which} is neither a number nor a range, such as 2*4.")
-    first = int(low) if low else 1
-    last = (int(high) if high else 10**12) if star else first
-    return np.asarray((numbers >= first) & (numbers <= last))
-
-
-def _group(deck: Deck, command: Command, name: str) -> Group:
-    """A group by its name. Raises DeckError."""
-    if name not in deck.groups:
-        raise DeckError(command, f"there is no group {name}. Groups: {', '.join(['all', *deck.groups])}.")
-    return deck.groups[name]
-
-
-def _members(deck: Deck, command: Command, points: Points, name: str) -> np.ndarray | None:
-    """Mask (n,) of the particles of a group; None for a style of groups that is not known."""
-    group = _group(deck, command, name)
-    if group.rule == "region":
-        return contains(deck, region_of(deck, command, group.words[0]), points.position)
-    if group.rule in ("type", "id") and all(each.replace(":", "").isdigit() for each in group.words):
-        numbers = points.type if group.rule == "type" else np.arange(1, len(points.type) + 1)
-        ranges = ([int(each) for each in word.split(":")] for word in group.words)
-        return np.any([(numbers >= each[0]) & (numbers <= each[-1]) for each in ranges], axis=0)
-    if group.rule in ("union", "subtract", "intersect"):
-        masks = [_chosen(deck, command, points, "group", each) for each in group.words]
-        if any(each is None for each in masks):
-            return None
-        if group.rule == "subtract":
-            return np.asarray(masks[0] & ~np.any(masks[1:], axis=0))
-        return np.asarray((np.any if group.rule == "union" else np.all)(masks, axis=0))
-    return None
+# Which particles, after the first run
 
 
 def _chosen_later(
@@ -220,7 +173,7 @@ def _chosen_later(
     """Regions and atom types of a setting; None if it has none of both."""
     everywhere: tuple[dict[str, Any], ...] = ({},)
     if style == "group" and which != "all":
-        group = _group(deck, command, which)
+        group = group_named(deck, command, which)
         if group.start == deck.time and group.rule in ("region", "type"):
             return _chosen_later(deck, command, group.rule, " ".join(group.words))
         return None  # particles that came into the box after the group was made are not its members
@@ -228,7 +181,7 @@ def _chosen_later(
         return everywhere, ()
     if style == "type":
         types = np.arange(1, deck.types + 1)
-        chosen = [n for word in which.split() for n in types[_in_range(command, types, word)].tolist()]
+        chosen = [n for word in which.split() for n in types[in_range(command, types, word)].tolist()]
         return everywhere, tuple(dict.fromkeys(chosen))
     if style == "region":
         regions = scene_regions(deck, region_of(deck, command, which))

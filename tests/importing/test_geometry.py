@@ -465,6 +465,52 @@ def test_frozen_particles(tmp_path):
     checked(tmp_path, found)
 
 
+CHUTE = """units cgs
+atom_style sphere
+boundary p p f
+lattice bcc 1.0
+region box block 0 2 0 3 0 10
+create_box 2 box
+region base block INF INF INF INF INF 0.6
+region bulk block INF INF INF INF 1.0 3.0
+create_atoms 2 region base
+create_atoms 1 region bulk
+set group all diameter 0.8 density 2.5
+group bottom region base
+group mobile subtract all bottom
+velocity mobile set 2 0 0
+pair_style gran/hooke/history 1e4 NULL 100 NULL 0.5 1
+pair_coeff * *
+timestep 1e-5
+fix g {gravity} gravity 981 chute 20
+{integrators}
+run 10
+"""
+
+
+@pytest.mark.parametrize(
+    "integrators", ["fix i mobile nve/sphere", "fix f bottom freeze\nfix i all nve/sphere"]
+)
+def test_particles_on_a_lattice_over_a_rough_bottom(tmp_path, integrators):
+    """Two points for each of the 6 cells of a layer: bottom layers at 0 and 0.5, bulk at 1, 1.5, ... 3 cm."""
+    found, scene = imported(tmp_path, CHUTE.format(integrators=integrators, gravity="mobile"))
+    assert found.report.is_complete and set(scene["particles"]) == {"start_type1", "start_type2_fixed"}
+    assert scene["particles"]["start_type2_fixed"]["fixed"] is True
+    fixed, moving = (
+        np.loadtxt(found.files[name].decode().splitlines(), delimiter=",", skiprows=1)
+        for name in ("type2_fixed.csv", "type1.csv")
+    )
+    assert len(fixed) == 2 * 6 and len(moving) == 5 * 6
+    assert sorted({*fixed[:, 2]}) == [0.0, 0.005] and moving[:, 2].max() == 0.03
+    np.testing.assert_allclose(moving[:, 3:5], [[0.004, 0.02]] * 30)  # 2 lattices per second are 2 cm/s
+    checked(tmp_path, found)
+
+
+def test_gravity_on_some_of_the_moving_particles_is_not_possible(tmp_path):
+    found, _ = imported(tmp_path, CHUTE.format(integrators="fix i all nve/sphere", gravity="mobile"))
+    assert "on the group mobile only" in sentences(found, "fix g")
+
+
 def test_clump_of_a_template(tmp_path):
     (tmp_path / "rod.txt").write_text("# x y z r\n-1 0 0 1\n1 0 0 1\n")
     template = (

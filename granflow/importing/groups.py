@@ -1,0 +1,119 @@
+"""Groups of particles of a script: which particles a name means, and which of them the script does not move.
+
+The scene has forces and walls for all particles. Particles that no fix integrates, or that a fix freeze
+holds, are fixed; another fix on a part of the moving particles has no counterpart.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from granflow.importing.deck import Deck, Fix, Group, Points
+from granflow.importing.language import Command, DeckError
+from granflow.importing.regions import contains, region_of
+
+INTEGRATORS = (
+    "nve",
+    "nve/sphere",
+    "nve/limit",
+    "rigid",
+    "rigid/small",
+    "rigid/nve",
+    "rigid/nve/small",
+    "multisphere",
+)
+"""Styles of fixes that move particles."""
+FORCES = ("gravity", "viscous", "wall/gran", "wall/gran/region")
+"""Styles of fixes that act on all moving particles of a scene."""
+
+# Which particles a name means
+
+
+def chosen_points(deck: Deck, command: Command, points: Points, style: str, which: str) -> Any:
+    """Mask (n,) of the particles that a style and a name choose; None if it is not known."""
+    everything = np.ones(len(points.type), bool)
+    if style == "group":
+        return everything if which == "all" else _members(deck, command, points, which)
+    if style in ("type", "atom"):
+        numbers = points.type if style == "type" else np.arange(1, len(points.type) + 1)
+        return in_range(command, numbers, which)
+    if style == "region":
+        return contains(deck, region_of(deck, command, which), points.position)
+    raise DeckError(command, f"set has no style {style}; it has group, type, atom and region.")
+
+
+def in_range(command: Command, numbers: np.ndarray, which: str) -> np.ndarray:
+    """Whether numbers (n,) are in a range such as 3, 2*4, *4 or 2*. Raises DeckError."""
+    low, star, high = which.partition("*")
+    if not all(each.isdigit() or (star and not each) for each in (low, high if star else low)):
+        raise DeckError(command, f"{which} is neither a number nor a range, such as 2*4.")
+    first = int(low) if low else 1
+    last = (int(high) if high else 10**12) if star else first
+    return np.asarray((numbers >= first) & (numbers <= last))
+
+
+def group_named(deck: Deck, command: Command, name: str) -> Group:
+    """A group by its name. Raises DeckError."""
+    if name not in deck.groups:
+        raise DeckError(command, f"there is no group {name}. Groups: {', '.join(['all', *deck.groups])}.")
+    return deck.groups[name]
+
+
+def _members(deck: Deck, command: Command, points: Points, name: str) -> np.ndarray | None:
+    """Mask (n,) of the particles of a group; None for a style of groups that is not known."""
+    group = group_named(deck, command, name)
+    if group.rule == "region":
+        return contains(deck, region_of(deck, command, group.words[0]), points.position)
+    if group.rule in ("type", "id") and all(each.replace(":", "").isdigit() for each in group.words):
+        numbers = points.type if group.rule == "type" else np.arange(1, len(points.type) + 1)
+        ranges = ([int(each) for each in word.split(":")] for word in group.words)
+        return np.any([(numbers >= each[0]) & (numbers <= each[-1]) for each in ranges], axis=0)
+    if group.rule in ("union", "subtract", "intersect"):
+        masks = [chosen_points(deck, command, points, "group", each) for each in group.words]
+        if any(each is None for each in masks):
+            return None
+        if group.rule == "subtract":
+            return np.asarray(masks[0] & ~np.any(masks[1:], axis=0))
+        return np.asarray((np.any if group.rule == "union" else np.all)(masks, axis=0))
+    return None
+
+
+# What fixes leave out
+
+
+def fixed_points(deck: Deck, points: Points) -> np.ndarray:
+    """Mask (n,) of the particles that never move; tells fixes on other parts of the particles."""
+    none = np.zeros(len(points.type), bool)
+    fixes = [fix for fix in deck.fixes_of(*INTEGRATORS) if deck.acting(fix)]
+    runs = [run for run in deck.runs if run.steps]
+    moved = [
+        np.any([none, *(_of_fix(deck, points, fix) for fix in fixes if fix.acts_in(run))], axis=0)
+        for run in runs
+    ]
+    moves = np.any(moved, axis=0) if fixes else ~none
+    if fixes and (moves & ~np.all(moved, axis=0)).any():
+        fixes[-1].entry.approximated("particles that are integrated in some runs move in all of them")
+    fixed = ~moves
+    for fix in deck.fixes_of("freeze"):
+        if deck.acting(fix):
+            fixed |= _of_fix(deck, points, fix)
+    for fix in fixes:
+        if fix.group != "all" and fixed.any():
+            fix.entry.translated("particles.NAME.fixed of the others")
+    for fix in deck.fixes_of(*FORCES):
+        if deck.acting(fix) and (~fixed & ~_of_fix(deck, points, fix)).any():
+            fix.entry.impossible(
+                f"{fix.style} on the group {fix.group} only: it acts on all particles that move",
+                "the group all, or fixed: true for particles that do not move",
+            )
+    return fixed
+
+
+def _of_fix(deck: Deck, points: Points, fix: Fix) -> np.ndarray:
+    """Mask (n,) of the particles of the group of a fix; all if the style of the group is not known."""
+    found = chosen_points(deck, fix.entry.command, points, "group", fix.group)
+    if found is None:
+        rule = deck.groups[fix.group].rule
+        fix.entry.impossible(f"the group {fix.group} of the style {rule}", "a group of a region, type or id")
+        return np.ones(len(points.type), bool)
+    return np.asarray(found)
