@@ -442,6 +442,12 @@ def _mesh(deck: Deck, draft: Draft, fix: Fix, mesh: Fix, contact: WallContact) -
     keys |= _motion(motions)
     runs = [run for run in deck.acting(fix) if mesh.acts_in(run)]
     name = _put_wall(deck, draft, name, keys, runs, (mesh.entry, fix.entry))
+    if runs and runs[0].start > 0.0:
+        fix.entry.approximated(
+            f"{name} appears at {runs[0].start:.4g} s: where it appears within particles, a run of granflow "
+            "stops, with which the script continues; move it in from outside of them, or delete its key "
+            "stages, so that the particles settle around it"
+        )
     measure(draft, mesh, name)
 
 

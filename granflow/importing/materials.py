@@ -8,7 +8,7 @@ its end included.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from math import exp, log, pi, sqrt
 from typing import Any
@@ -180,12 +180,26 @@ class Model:
     options: dict[str, bool] = field(default_factory=dict)
 
     @property
+    def styles(self) -> tuple[str, ...]:
+        """The names of its parts."""
+        return (self.normal, self.tangential, self.rolling, self.twisting, self.cohesion, self.damping)
+
+    @property
     def key(self) -> tuple[Any, ...]:
         """What distinguishes models."""
         return (
-            *(self.normal, self.tangential, self.rolling, self.twisting, self.cohesion, self.damping),
+            *self.styles,
             *(tuple(sorted(self.numbers.items())), tuple(sorted(self.options.items()))),
         )
+
+
+def _mixed(first: Model, second: Model) -> Model:
+    """The model of two types by the rule of LAMMPS: geometric means, and the effective modulus of both."""
+    numbers = {name: sqrt(value * second.numbers[name]) for name, value in first.numbers.items()}
+    if "E" in numbers:
+        compliance = sum((1.0 - each.numbers["nu"] ** 2) / each.numbers["E"] for each in (first, second))
+        numbers["E"] = 2.0 * (1.0 - numbers["nu"] ** 2) / compliance
+    return replace(first, numbers=numbers)
 
 
 @dataclass
@@ -601,7 +615,14 @@ class Contacts:
         found = self.models.get((min(i, j), max(i, j)))
         if found is not None:
             return found
-        mixed = self.models.get((i, i)) or self.models.get((j, j))
+        own = [each for each in (self.models.get((i, i)), self.models.get((j, j))) if each is not None]
+        if (
+            len(own) == 2
+            and own[0].styles == own[1].styles
+            and own[0].numbers.keys() == own[1].numbers.keys()
+        ):
+            return _mixed(*own)
+        mixed = own[0] if own else None
         if mixed is None:
             entry = self.deck.family["pair_entry"]
             raise DeckError(entry.command, f"no pair_coeff is given for the types {i} and {j}.")
@@ -760,6 +781,14 @@ class Contacts:
         if rest <= 0.0:
             model.entry.approximated("the wall is stiffer than a rigid one with these particles; it is rigid")
             rest = 1e-6 / wanted
+        for sort in self.sorts:
+            young, poisson = self._moduli(sort.type)
+            ratio = 1.0 / (rest + (1.0 - poisson**2) / young) / wanted
+            if abs(ratio - 1.0) > 0.02:
+                model.entry.approximated(
+                    f"contacts of {sort.name} with the wall have {ratio:.3g} times the stiffness of the "
+                    "script, in which it does not depend on the particle"
+                )
         return (1.0 - poisson_wall**2) / rest, poisson_wall
 
     # Contact laws
@@ -775,6 +804,10 @@ class Contacts:
                     f"the contact laws are those of {main.entry.command.where} for all contacts: "
                     f"{main.normal} and {main.tangential}, here {each.normal} and {each.tangential}"
                 )
+            if each.options.get("tangential_damping", True) != main.options.get("tangential_damping", True):
+                each.entry.approximated(
+                    f"the tangential dashpot is that of {main.entry.command.where} for all contacts"
+                )
         contact: dict[str, Any] = {"normal": self._normal(main), "tangential": self._tangential(main)}
         rolling = next((each.rolling for each in models if each.rolling != "none"), "none")
         contact["rolling"] = {"epsd2": "epsd", "epsd": "sds", "epsd3": "sds", "cdt": "cdt", "sds": "sds"}.get(
@@ -783,6 +816,9 @@ class Contacts:
         twisting = next((each for each in models if each.twisting != "none"), None)
         if twisting is not None and twisting.twisting == "marshall":
             contact["twisting"] = "marshall"
+            for each in models:
+                if each.twisting == "none":
+                    each.entry.approximated("twisting marshall acts in all contacts, also in these")
         elif twisting is not None:
             contact["twisting"] = {
                 "law": "torsion_spring",

@@ -511,6 +511,12 @@ def test_gravity_on_some_of_the_moving_particles_is_not_possible(tmp_path):
     assert "on the group mobile only" in sentences(found, "fix g")
 
 
+def test_mesh_that_appears_later_has_a_remark(tmp_path, square):
+    wall = f"fix cad all mesh/surface file square.stl type 1\nrun 100\nfix w all {GRANULAR} mesh n_meshes 1 meshes cad"
+    found, _ = imported(tmp_path, liggghts(f"{wall}\nrun 9"))
+    assert "cad appears at 0.001 s: where it appears within particles" in sentences(found, "fix w")
+
+
 def test_clump_of_a_template(tmp_path):
     (tmp_path / "rod.txt").write_text("# x y z r\n-1 0 0 1\n1 0 0 1\n")
     template = (

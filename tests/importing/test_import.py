@@ -206,6 +206,22 @@ def test_lammps(tmp_path, model, path, expected):
         assert at(scene, path) == expected
 
 
+def test_mixed_coefficients_of_granular(tmp_path):
+    """Types without a pair_coeff of their own have geometric means; a wall has the same modulus for all."""
+    coefficients = "{} hertz/material {} 0.5 0.25 tangential mindlin NULL 1.0 {} {}damping tsuji\n"
+    pairs = [("1 1", "1e7", 0.9, "twisting marshall "), ("2 2", "3e7", 0.4, "twisting marshall ")]
+    model = "pair_style granular\n" + "".join("pair_coeff " + coefficients.format(*each) for each in pairs)
+    wall = f"fix w all wall/gran granular {coefficients.format('', '1e7', 0.5, '')[1:-1]} zplane 0 NULL\n"
+    text = LAMMPS.format(model=model).replace("create_box 1", "create_box 2")
+    more = "fix q all pour 100 2 7 region box diam one 0.004 dens 2500 2500\n"
+    found, scene = imported(tmp_path, text.replace("fix i all", f"{more}{wall}fix i all"))
+    assert scene["pairs"]["type1-type2"]["friction"] == pytest.approx(sqrt(0.9 * 0.4))
+    assert remarks(found, "pair_coeff 2 2")[0][0] != "approximated"
+    # E* = 10 MPa / 2 (1 - nu^2) in the script, and 1 / (1/30 + 1/10) = 7.5 MPa / (1 - nu^2) of the materials
+    (remark,) = (sentence for _, sentence in remarks(found, "fix w"))
+    assert "type2 with the wall have 1.5 times" in remark and "twisting marshall acts in all" in remark
+
+
 def test_gravity_of_a_chute(tmp_path):
     model = "pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1"
     _, scene = imported(tmp_path, LAMMPS.format(model=model))
