@@ -334,6 +334,10 @@ class Interpreter:
             return
         if style in ("loop", "uloop"):
             numbers = [int(float(each)) for each in values if is_number(each)]
+            if not numbers:
+                raise DeckError(
+                    command, f"the end of the loop is {values[0]}; give a whole number, such as 5."
+                )
             first, last = (numbers[0], numbers[1]) if len(numbers) > 1 else (1, numbers[0])
             width = len(str(last)) if "pad" in values else 1
             self.variables[name] = Variable("index", [str(n).zfill(width) for n in range(first, last + 1)])
@@ -358,6 +362,11 @@ class Interpreter:
             if name not in self.variables:
                 raise DeckError(command, f"there is no variable {name}.")
             variable = self.variables[name]
+            if variable.style not in ("index", "universe"):
+                raise DeckError(
+                    command,
+                    f"the variable {name} is of the style {variable.style}; next takes index and loop.",
+                )
             variable.at += 1
             if variable.at >= len(variable.values):
                 del self.variables[name]

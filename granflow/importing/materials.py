@@ -10,7 +10,7 @@ its end included.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from math import exp, log, pi, sqrt
+from math import exp, inf, log, pi, sqrt
 from typing import Any
 
 from granflow.contact.theory import damping_ratio_for, viscous_restitution
@@ -78,6 +78,16 @@ PROPERTIES: dict[str, Known] = {
 """Names of property/global."""
 
 
+RANGES = {
+    "youngsModulus": (1.0, 1e13),
+    "poissonsRatio": (0.0, 0.5),
+    "coefficientRestitution": (0.0, 1.0),
+    "coefficientFriction": (0.0, inf),
+    "coefficientRollingFriction": (0.0, inf),
+}
+"""Least and largest number of a property, in SI units."""
+
+
 @dataclass
 class Property:
     """The numbers of one property/global in SI units: one, one per type, or one per pair of types."""
@@ -128,6 +138,12 @@ def property_global(deck: Deck, fix: Fix) -> None:
     numbers = []
     while words:
         numbers.append(words.number(f"a number of {name}", known.dimension))
+    low, high = RANGES.get(name, (-inf, inf))
+    outside = next((each for each in numbers if not low <= each <= high), None)
+    if outside is not None:
+        raise DeckError(
+            fix.entry.command, f"{name} has the number {outside:g}; give one from {low:g} to {high:g}."
+        )
     needed = {"scalar": 1, "peratomtypepair": columns * columns}.get(form, len(numbers))
     if len(numbers) != needed or not numbers:
         raise DeckError(

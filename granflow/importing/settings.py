@@ -14,7 +14,7 @@ from granflow.importing.deck import Deck, Fix, Points, Region, Translation, Word
 from granflow.importing.groups import chosen_points, group_named, in_range
 from granflow.importing.heat import HEAT
 from granflow.importing.insertion import group_name
-from granflow.importing.language import Command, DeckError
+from granflow.importing.language import Command, DeckError, NotKnown, shortest
 from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, number, quantities, quantity
@@ -47,7 +47,7 @@ class Setting:
 
 def set_(deck: Deck, command: Command, entry: Entry) -> None:
     """set group|type|atom|region WHICH KEYWORD VALUE ..."""
-    words = Words(deck, command, command.words)
+    words = Words(deck, command, tuple(_value_of(deck, command, each) for each in command.words))
     style, which = words.word("the style"), words.word("the name")
     if style == "region":
         region_of(deck, command, which)
@@ -85,6 +85,16 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
             entry.impossible(f"the keyword {key} of set")
             words.skip()
     entry.translated("particles")
+
+
+def _value_of(deck: Deck, command: Command, word: str) -> str:
+    """The value of v_NAME; other words as they are. Raises DeckError."""
+    if not word.startswith("v_"):
+        return word
+    try:
+        return shortest(deck.interpreter.value_at(word[2:]))
+    except NotKnown as error:
+        raise DeckError(command, f"{word} has no number: {error}; give one, such as 0.5.") from None
 
 
 def velocity(deck: Deck, command: Command, entry: Entry) -> None:

@@ -315,6 +315,7 @@ def test_not_possible(tmp_path, end, part, sentence):
         ("timestep 1e-5", "timestep fast", "in.deck:14: the time step is fast, which is not a number"),
         ("timestep 1e-5", "timestep -1", "in.deck:14: the time step is -1; give a time above 0"),
         ("5e6 1e7", "5e6", "youngsModulus has no number for type 2"),
+        ("0.45 0.3", "0.45 1.3", "poissonsRatio has the number 1.3; give one from 0 to 0.5"),
         ("fix m3", "#", "needs fix property/global coefficientRestitution"),
         ("0.1 0.2 0.2 0.3", "0.1 0.2 0.3 0.3", "not symmetric: types 1 and 2"),
         ("region box part", "region no part", "there is no region no. Regions: box"),
@@ -478,7 +479,8 @@ def test_read_restart_is_refused_with_advice(tmp_path):
     assert found.texts == [] and "write_data" in remarks(found, "read_restart")[0][1]
 
 
-STARTS = """set atom 2 vx 3
+STARTS = """variable speed equal 1+2
+set atom 2 vx v_speed
 region r cylinder z 0.5 0.5 0.1 1 2
 region s sphere 0.4 0.4 0.4 0.18
 group g region s

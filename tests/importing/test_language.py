@@ -97,6 +97,8 @@ def test_include(tmp_path):
         ("variable a world 1 2", 1, "style world"),
         ('if "c_1 > 2" then "x 1"', 1, "cannot be decided"),
         ('if "1 > 2"', 1, "the form is"),
+        ("variable a loop x", 1, "the end of the loop is x"),
+        ("variable a equal 3\nnext a", 2, "next takes index and loop"),
         ("variable v atom x\nx ${v}", 2, "one value per particle"),
     ],
 )
