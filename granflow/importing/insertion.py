@@ -26,7 +26,7 @@ from granflow.importing.materials import material_of
 from granflow.importing.meshes import flat_face
 from granflow.importing.regions import BASIS, contains, region_of
 from granflow.importing.report import Entry
-from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
 from granflow.io.tables import is_number
 from granflow.schema.messages import suggestion_sentence
 from granflow.units import to_si
@@ -396,11 +396,19 @@ def face_of(mesh: Fix, velocity: Vector, entry: Entry) -> tuple[dict[str, Any], 
 
 def collect(deck: Deck) -> None:
     """Make the groups of the scene from all insertions that act in a run."""
+    before = len(deck.particles)
     for fix in deck.all_fixes:
         if isinstance(fix.data, Insertion) and deck.acting(fix):
             _insert(deck, fix, fix.data)
         elif isinstance(fix.data, Pour) and deck.acting(fix):
             _pour(deck, fix, fix.data)
+    taken: set[str] = set()
+    for group in deck.particles[before:]:
+        plain, count = group_name(group), 1
+        while group_name(group) in taken:
+            count += 1
+            group.name = f"{plain}_{count}"
+        taken.add(group_name(group))
 
 
 def _sizes(distribution: Distribution, members: list[Template]) -> Any:
@@ -448,7 +456,7 @@ def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
         ]
         share = sum(numbers[k] for k in chosen)
         mass_share = sum(masses[k] for k in chosen) / sum(masses)
-        name = fix.name if len(kinds) == 1 else f"{fix.name}_{index + 1}"
+        name = plain_name(fix.name if len(kinds) == 1 else f"{fix.name}_{index + 1}", "group")
         clump = members[0].clump
         amount = Amount(deck, fix, given, share, mass_share)
         keys: dict[str, Any] = {}
@@ -499,12 +507,12 @@ class Amount:
         keys = self._flow(start, end)
         if given.face is not None:
             face, _ = face_of(given.face, given.velocity, fix.entry)
-            given.face.entry.translated(f"particles.{fix.name}.insert.face")
+            given.face.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.face")
             return [("", self._total(), {"kind": "inlet", "face": face, **keys})]
         if given.region is None:
             raise DeckError(fix.entry.command, f"{fix.style} needs a region or an insertion_face.")
         region = scene_region(self.deck, given.region, fix.entry, 0.0 if given.all_in else radius)
-        given.region.entry.translated(f"particles.{fix.name}.insert.region")
+        given.region.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.region")
         return [("", self._total(), {"kind": "rain", "region": region, **keys})]
 
     def _total(self) -> dict[str, Any]:
@@ -544,7 +552,7 @@ class Amount:
         if given.region is None:
             raise DeckError(fix.entry.command, "insert/pack needs a region.")
         region = scene_region(deck, given.region, fix.entry, 0.0 if given.all_in else radius)
-        given.region.entry.translated(f"particles.{fix.name}.insert.region")
+        given.region.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.region")
         mean = given.distribution.mean_volume
         if given.fraction is not None:
             volume = volume_of(given.region) or _box_volume(extent_of(deck, given.region))
@@ -751,7 +759,7 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     batch = max(1.0, floor(given.fraction * volume / (pi / 6.0 * mean_cube)))
     margin = radii[0] if is_clear(deck, extent, radii[0]) else 0.0
     region = scene_region(deck, given.region, fix.entry, margin)
-    given.region.entry.translated(f"particles.{fix.name}.insert.region")
+    given.region.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.region")
     start, end = _window(deck, fix)
     keys: dict[str, Any] = {"diameter": sizes}
     mean_speed = down + 0.5 * g * time
@@ -1015,8 +1023,7 @@ def build(deck: Deck, draft: Draft) -> None:
 
 def group_name(group: ParticleGroup) -> str:
     """Name of a group in the scene."""
-    name = "".join(each if each.isalnum() or each == "_" else "_" for each in group.name)
-    return name if name[:1].isalpha() else f"group_{name}"
+    return plain_name(group.name, "group")
 
 
 # Tables

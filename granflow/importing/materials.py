@@ -17,7 +17,7 @@ from granflow.contact.theory import damping_ratio_for, viscous_restitution
 from granflow.importing.deck import Deck, Fix, ParticleGroup, Translation, Words, impossible, not_needed
 from granflow.importing.language import Command, DeckError
 from granflow.importing.report import Entry
-from granflow.importing.scene_text import Draft, quantity
+from granflow.importing.scene_text import Draft, plain_name, quantity
 from granflow.schema.messages import nearest, suggestion_sentence
 
 REFERENCE_DENSITY = 2500.0
@@ -565,7 +565,7 @@ def sorts_of(deck: Deck) -> list[Sort]:
     types = [type for type, _ in found]
     sorts = []
     for (type, density), groups in found.items():
-        name = f"type{type}" if types.count(type) == 1 else f"type{type}_{density:g}".replace(".", "_")
+        name = f"type{type}" if types.count(type) == 1 else plain_name(f"type{type}_{density:g}", "type")
         radii = [radius for each in groups for radius in each.radii]
         sorts.append(Sort(name, type, density, (min(radii), max(radii))))
     return sorts

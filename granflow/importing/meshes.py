@@ -12,7 +12,7 @@ from granflow.importing.deck import Deck, Fix, Translation, Vector, Words
 from granflow.importing.heat import wall_temperature
 from granflow.importing.language import DeckError
 from granflow.importing.materials import Property, material_of
-from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
 from granflow.importing.schedule import stages_of
 from granflow.io.files import FormatError
 
@@ -422,8 +422,7 @@ def _flow(deck: Deck, draft: Draft, fix: Fix, given: Massflow) -> None:
             "the flow through a mesh that is not flat", "a flat mesh, or output.metrics of kind content"
         )
         return
-    name = "".join(each if each.isalnum() or each == "_" else "_" for each in fix.name)
-    name = name if name[:1].isalpha() else f"flow_{name}"
+    name = plain_name(fix.name, "flow")
     if face.difference:
         fix.entry.approximated(
             f"the face of the mesh is replaced by a disc of the same area: {face.difference}"

@@ -18,7 +18,7 @@ from granflow.importing.meshes import clean, rotation, stl
 from granflow.importing.motion import Pose, region_motions
 from granflow.importing.regions import region_at
 from granflow.importing.report import Entry
-from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
 from granflow.importing.schedule import stages_of_runs
 
 BLOCK_FACES = ("left", "right", "front", "back", "bottom", "top")
@@ -494,8 +494,7 @@ def _release(deck: Deck, part: Region) -> None:
 
 def wall_name(draft: Draft, name: str) -> str:
     """A name of a wall that is not taken, without characters that names do not have."""
-    plain = "".join(each if each.isalnum() or each == "_" else "_" for each in name)
-    plain = plain if plain[:1].isalpha() else f"wall_{plain}"
+    plain = plain_name(name, "wall")
     taken: Sequence[str] = list(draft.get("walls") or {})
     free = plain
     count = 1

@@ -56,6 +56,12 @@ def number(value: float) -> str:
     return f"{value:.12g}"
 
 
+def plain_name(name: str, prefix: str) -> str:
+    """A name of the script as a scene permits it; `prefix` precedes one that begins with no letter."""
+    plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name).lower()
+    return plain if plain[:1].isalpha() else f"{prefix}_{plain}"
+
+
 def comment_of(entry: Entry) -> str:
     """The comment with the line of the script."""
     command = entry.command

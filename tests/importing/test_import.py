@@ -433,6 +433,16 @@ def test_settings_that_have_no_effect_or_no_counterpart(tmp_path, end, fragment,
     assert "stages" not in scene or all("set" not in stage for stage in scene["stages"])
 
 
+def test_names_with_capitals_and_of_two_cases(tmp_path):
+    """Names of a scene have small letters; two names that differ by their case remain two."""
+    second = PACK.replace("fix ins", "fix INS").replace("seed 1", "seed 2")
+    walls = f"{second}\nfix W.2 all wall/gran {HERTZ} primitive type 2 xplane 0.0\nrun 10"
+    found, scene = imported(tmp_path, liggghts(end=f"{walls}"))
+    assert set(scene["particles"]) == {"ins_1", "ins_2", "ins_1_2", "ins_2_2"}
+    assert set(scene["walls"]) == {"w", "w_2"}
+    assert "particles.ins_1_2" in remarks(found, "fix INS")[0][1]
+
+
 def test_modulus_of_the_model_hooke(tmp_path):
     """The line of the modulus says where the number of the scene is from: 5 MPa / (1 - 0.45^2)."""
     properties = "fix m5 all property/global characteristicVelocity scalar 2"
