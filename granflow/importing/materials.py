@@ -741,8 +741,9 @@ class Contacts:
             properties = self.deck.own("properties", dict)
             for name in ("youngsModulus", "poissonsRatio"):
                 properties[name].entry.translated(
-                    f"type {type}: E / (1 - nu^2) = {young / (1.0 - poisson**2):.6g} Pa with the Poisson "
-                    "ratio 0, which has the same normal stiffness and kt = kn, as the model hooke"
+                    "E / (1 - nu^2) with the Poisson ratio 0 has the normal stiffness of the model hooke and "
+                    "its kt = kn",
+                    f"type {type}: {young / (1.0 - poisson**2):.6g} Pa",
                 )
 
     def _moduli_of(self, model: Model, i: int, j: int) -> tuple[float, float]:
