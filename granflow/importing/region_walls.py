@@ -16,7 +16,7 @@ from granflow.importing.deck import Deck, Fix, Region, Run
 from granflow.importing.materials import WallContact
 from granflow.importing.meshes import clean, rotation, stl
 from granflow.importing.motion import Pose, region_motions
-from granflow.importing.regions import region_at
+from granflow.importing.regions import UNBOUNDED, in_region, region_at
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
 from granflow.importing.schedule import stages_of_runs
@@ -184,35 +184,7 @@ def icosphere(divisions: int) -> np.ndarray:
     return triangles
 
 
-# Which points are inside a region
-
-
-def contains(deck: Deck, region: Region, points: np.ndarray, regions: dict[str, Region]) -> np.ndarray:
-    """Whether points (n, 3) [m] are in a region, with its side."""
-    n = region.numbers
-    if region.kind == "block":
-        low, high = np.array(n[::2]), np.array(n[1::2])
-        inside = ((points >= low) | ~np.isfinite(low)).all(axis=1)
-        inside &= ((points <= high) | ~np.isfinite(high)).all(axis=1)
-    elif region.kind in ("cylinder", "cone"):
-        axis = "xyz".index(region.axis)
-        others = [k for k in range(3) if k != axis]
-        along = points[:, axis]
-        across = np.linalg.norm(points[:, others] - np.array(n[:2]), axis=1)
-        start, end = n[-2:]
-        if region.kind == "cylinder":
-            radius: np.ndarray = np.full(len(points), n[2])
-        else:
-            radius = n[2] + (n[3] - n[2]) * (along - start) / (end - start)
-        inside = (across <= radius) & ~(along < start) & ~(along > end)
-    elif region.kind == "sphere":
-        inside = np.linalg.norm(points - np.array(n[:3]), axis=1) <= n[3]
-    elif region.kind == "plane":
-        inside = (points - np.array(n[:3])) @ np.array(n[3:]) >= 0.0
-    else:
-        parts = [contains(deck, regions[each], points, regions) for each in region.parts]
-        inside = np.any(parts, axis=0) if region.kind == "union" else np.all(parts, axis=0)
-    return np.asarray(inside if region.inside else ~inside)
+# Which points are inside a region, on both sides of a face
 
 
 def samples(face: Face, region: Region) -> tuple[np.ndarray, np.ndarray]:
@@ -280,7 +252,7 @@ def parts_of(deck: Deck, region: Region, time: float, entry: Entry) -> list[Part
                 if not len(points):
                     continue
                 size = np.ptp(points, axis=0).max()
-                borders = _borders(deck, region, regions, points, OFFSET * size * normals)
+                borders = _borders(region, regions, points, OFFSET * size * normals)
                 if not borders.any():
                     del faces[name]
                 elif not borders.all() and region.kind == "union" and region.inside:
@@ -292,12 +264,10 @@ def parts_of(deck: Deck, region: Region, time: float, entry: Entry) -> list[Part
     return found
 
 
-def _borders(
-    deck: Deck, region: Region, regions: dict[str, Region], points: np.ndarray, shift: np.ndarray
-) -> np.ndarray:
+def _borders(region: Region, regions: dict[str, Region], points: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Whether a region has particles on one side of each point, and none on the other."""
-    one = contains(deck, region, points + shift, regions)
-    other = contains(deck, region, points - shift, regions)
+    one = in_region(region, points + shift, regions, UNBOUNDED)
+    other = in_region(region, points - shift, regions, UNBOUNDED)
     return np.asarray(one != other)
 
 

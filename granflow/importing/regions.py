@@ -1,6 +1,6 @@
 """Regions of a script: blocks, cylinders, cones, spheres and planes; where they are at each time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot, inf, nan
 
@@ -307,22 +307,36 @@ def region_at(deck: Deck, name: str, time: float) -> Region | None:
     )
 
 
+UNBOUNDED = (-inf, inf) * 3
+"""A box in which sides of regions at its edges are nowhere."""
+
+
 def contains(deck: Deck, region: Region, points: np.ndarray) -> np.ndarray:
-    """Whether points (n, 3) [m] are in a region."""
-    parts = [contains(deck, deck.regions[name], points) for name in region.parts]
+    """Whether points (n, 3) [m] are in a region; its sides at edges of the box are there."""
+    return in_region(region, points, deck.regions, deck.box or UNBOUNDED)
+
+
+def in_region(
+    region: Region, points: np.ndarray, regions: Mapping[str, Region], box: Sequence[float]
+) -> np.ndarray:
+    """Whether points (n, 3) [m] are in a region.
+
+    regions:  the parts of unions and intersections by name
+    box:      x_low, x_high, y_low, ... [m] for sides at edges of the box
+    """
+    parts = [in_region(regions[name], points, regions, box) for name in region.parts]
     if region.kind == "union":
         found = np.any(parts, axis=0)
     elif region.kind == "intersect":
         found = np.all(parts, axis=0)
     else:
-        found = _in_shape(deck, region, points)
+        found = _in_shape(region, points, box)
     return found if region.inside else ~found
 
 
-def _in_shape(deck: Deck, region: Region, points: np.ndarray) -> np.ndarray:
+def _in_shape(region: Region, points: np.ndarray, box: Sequence[float]) -> np.ndarray:
     """Whether points (n, 3) [m] are in a block, cylinder, cone, sphere or half space."""
     n = region.numbers
-    box = deck.box or (-inf, inf) * 3
     if region.kind == "block":
         low_high = np.array([box[k] if each != each else each for k, each in enumerate(n)])
         return np.asarray(((points >= low_high[::2]) & (points <= low_high[1::2])).all(axis=1))
