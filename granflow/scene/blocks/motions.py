@@ -214,6 +214,23 @@ class TimedMotion(Model):
             yield missing(("ramp_duration",), f"the time during which initial_{name} changes to {name}")
 
 
+def sinusoid(
+    amplitude: float, rate: float, phase: float, elapsed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A (sin(w t + phase) - sin(phase)) and its derivative by the elapsed time t (k,) [s].
+
+    amplitude:  A
+    rate:       angular frequency w [rad/s]
+    """
+    angle = rate * elapsed + phase
+    return amplitude * (np.sin(angle) - np.sin(phase)), amplitude * rate * np.cos(angle)
+
+
+def sinusoid_period(amplitude: float | None, rate: float | None) -> float:
+    """2 pi / w [s]; infinite without motion (w = 0 or amplitude 0)."""
+    return 2.0 * math.pi / rate if amplitude and rate else inf
+
+
 class Vibration(TimedMotion):
     """Sinusoidal motion along a direction from the given position; t is the time since the start [s].
 
@@ -302,9 +319,8 @@ class Vibration(TimedMotion):
     def displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`; the displacement is continuous at the start."""
         assert self.amplitude is not None and self.angular_frequency is not None
-        angle = self.angular_frequency * self.elapsed(times) + self.phase
-        displacement = self.amplitude * (np.sin(angle) - np.sin(self.phase))
-        rate = self.amplitude * self.angular_frequency * np.cos(angle) * self.is_running(times)
+        displacement, rate = sinusoid(self.amplitude, self.angular_frequency, self.phase, self.elapsed(times))
+        rate = rate * self.is_running(times)
         direction = np.asarray(self.direction, dtype=np.float64)
         return np.outer(displacement, direction), np.outer(rate, direction)
 
@@ -321,8 +337,7 @@ class Vibration(TimedMotion):
     @property
     def period(self) -> float:
         """2 pi / w [s]; infinite without motion (w = 0 or amplitude 0)."""
-        rate = self.angular_frequency if self.amplitude else 0.0
-        return 2.0 * math.pi / rate if rate else inf
+        return sinusoid_period(self.amplitude, self.angular_frequency)
 
 
 class VelocityMotion(TimedMotion):
@@ -579,9 +594,7 @@ class Oscillation(TimedMotion):
     def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`."""
         assert self.angular_frequency is not None
-        angle = self.angular_frequency * self.elapsed(times) + self.phase
-        turned = self.amplitude * (np.sin(angle) - np.sin(self.phase))
-        return turned, self.amplitude * self.angular_frequency * np.cos(angle)
+        return sinusoid(self.amplitude, self.angular_frequency, self.phase, self.elapsed(times))
 
     def top_speed(self, reach: float) -> float:
         """|A w| reach."""
@@ -591,8 +604,7 @@ class Oscillation(TimedMotion):
     @property
     def period(self) -> float:
         """2 pi / w [s]; infinite without motion."""
-        rate = self.angular_frequency if self.amplitude else 0.0
-        return 2.0 * math.pi / rate if rate else inf
+        return sinusoid_period(self.amplitude, self.angular_frequency)
 
 
 TABLE_COLUMNS = {
