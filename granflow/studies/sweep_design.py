@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from itertools import product
 from math import nan, prod, ulp
 from typing import Annotated, Any, Literal, NamedTuple
@@ -154,13 +155,19 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
 FORMULA_WORDS = "numbers, parameters, pi, + - * / **, parentheses, and " + ", ".join(_FUNCTIONS)
 
 
-def names_in(formula: str) -> tuple[str, ...]:
-    """Names of the parameters in a formula, each once. Raises ValueError if it is not a formula."""
+@cache
+def _tree(formula: str) -> ast.expr:
+    """The parsed formula: a sweep evaluates it at each point. Raises ValueError if it is not a formula."""
     try:
-        tree = ast.parse(formula.strip(), mode="eval").body
+        return ast.parse(formula.strip(), mode="eval").body
     except (SyntaxError, ValueError):
         raise ValueError("is not a formula") from None
-    return tuple(dict.fromkeys(_names(tree)))
+
+
+@cache
+def names_in(formula: str) -> tuple[str, ...]:
+    """Names of the parameters in a formula, each once. Raises ValueError if it is not a formula."""
+    return tuple(dict.fromkeys(_names(_tree(formula))))
 
 
 def _names(node: ast.AST) -> Iterator[str]:
@@ -201,7 +208,7 @@ def formula_value(formula: str, values: Mapping[str, float]) -> float:
         raise AssertionError(ast.dump(node))
 
     try:
-        return value(ast.parse(formula.strip(), mode="eval").body)
+        return value(_tree(formula))
     except (ArithmeticError, ValueError, TypeError):
         return nan
 
