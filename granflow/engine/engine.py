@@ -17,7 +17,6 @@ import numpy as np
 from granflow.engine.abort import Diagnosis, WallChange, diagnose
 from granflow.engine.backend import Backend
 from granflow.engine.clumps import CLUMP_MOTION, synchronized_clumps
-from granflow.engine.codes import NO_PARTICLE
 from granflow.engine.contact import collision_counts
 from granflow.engine.fields import write_field
 from granflow.engine.host import (
@@ -232,7 +231,7 @@ class Engine:
         self._refuse_with_clumps("Particles from Python")
         state = self.state
         state.count = 0
-        state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
+        state.control.clear_abort()
         for row in (state.neighbors.list_begin, state.neighbors.list_end):
             row.fill(0)
         if time_step is not None:

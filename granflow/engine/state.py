@@ -660,10 +660,14 @@ class Control(Fields):
             write_padded(self.law_parameters, np.array([plan.law_parameters]))
         if self.collision_edges is not None:
             write_padded(self.collision_edges, plan.collision_edges)
-        self.abort_particle[0] = NO_PARTICLE
+        self.clear_abort()
         self.overlap_limit[0] = plan.scene.numerics.intended_overlap
         if self.halted_at is not None:
             write_padded(self.halted_at, np.full(2, NOT_HALTED, np.int32))
+
+    def clear_abort(self) -> None:
+        """Forget an abort, before the first one or where the host goes on."""
+        self.abort[0], self.abort_particle[0] = 0, NO_PARTICLE
 
 
 class DeviceFlags(NamedTuple):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.engine.backend import free_device_memory
-from granflow.engine.codes import ABORT_OVERLAP, NO_PARTICLE, NOT_HALTED, PHASE_FORCES
+from granflow.engine.codes import ABORT_OVERLAP, NOT_HALTED, PHASE_FORCES
 from granflow.engine.contact import build_end_wall_work
 from granflow.engine.flows import build_withdraw
 from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
@@ -193,9 +193,8 @@ class Stepper:
 
     def permit_overlap(self, limit: float) -> None:
         """Go on after a step that has ended with an overlap above the limit, with a higher limit."""
-        control = self.state.control
-        control.overlap_limit[0] = limit
-        control.abort[0], control.abort_particle[0] = 0, NO_PARTICLE
+        self.state.control.overlap_limit[0] = limit
+        self.state.control.clear_abort()
 
     @property
     def _is_rebuild_due(self) -> bool:

@@ -14,7 +14,14 @@ from math import isfinite
 
 import numpy as np
 
-from granflow.engine.abort import LIMIT_RATIO, abort_message, next_limit, overlap_warning, permitted_change
+from granflow.engine.abort import (
+    LIMIT_RATIO,
+    Diagnosis,
+    abort_message,
+    next_limit,
+    overlap_warning,
+    permitted_change,
+)
 from granflow.engine.engine import Engine
 from granflow.engine.totals import EXIT_FACES
 from granflow.errors import FunctionError, RunError, StopRun
@@ -130,7 +137,6 @@ class TimeLoop:
             self.engine.advance(steps)
             rate = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
             self._particle_steps = rate * ADVANCE_SECONDS * max(self.engine.particle_count, 1)
-            self._report_overlap()
             self._abort_if_diagnosed()
             self._handle_requests()
         self._handle_event()
@@ -296,14 +302,9 @@ class TimeLoop:
         if kept is not None and (after is None or kept.time > after):
             self.files.save(kept.time, kept.step, kept.state_dict)
 
-    def _report_overlap(self) -> None:
-        """After an overlap with which the run goes on: a warning on the first one, and the next limit."""
+    def _report_overlap(self, diagnosis: Diagnosis, limit: float) -> None:
+        """Go on after an overlap, up to the next limit; the first one is a warning."""
         engine = self.engine
-        if not engine.aborted or (diagnosis := engine.diagnosis) is None:
-            return
-        limit = next_limit(diagnosis, engine.plan)
-        if limit is None:
-            return
         log = logging.getLogger("granflow")
         is_first = engine.overlap_limit < 1.1 * engine.plan.scene.numerics.intended_overlap
         if is_first:  # the limit may be rounded to single precision
@@ -315,10 +316,16 @@ class TimeLoop:
     def _abort_if_diagnosed(self) -> None:
         """After an abort, write the present state if it is finite, and the last good one as a checkpoint.
 
+        After an overlap with which the run goes on, report it instead.
+
         Raises RunError with the diagnosis and the command that continues.
         """
         diagnosis = self.engine.diagnosis
         if diagnosis is None:
+            return
+        limit = next_limit(diagnosis, self.engine.plan)
+        if limit is not None:
+            self._report_overlap(diagnosis, limit)
             return
         message = abort_message(diagnosis, self.engine.plan, self.engine.time)
         with self.state.wall_clock.measuring_output():
