@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.metrics import CoordinationMetric as CoordinationMetric
     from granflow.scene.blocks.metrics import FabricMetric as FabricMetric
     from granflow.scene.blocks.metrics import GranularTemperatureMetric as GranularTemperatureMetric
+    from granflow.scene.blocks.metrics import HeightMetric as HeightMetric
     from granflow.scene.blocks.metrics import LaceyMetric as LaceyMetric
     from granflow.scene.blocks.metrics import ReposeMetric as ReposeMetric
     from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
@@ -155,6 +156,7 @@ _LOCATIONS = {
     "GranularTemperatureMetric": "granflow.scene.blocks.metrics.GranularTemperatureMetric",
     "Group": "granflow.scene.blocks.particles.Group",
     "HalfSpaceOutlet": "granflow.scene.blocks.outlets.HalfSpaceOutlet",
+    "HeightMetric": "granflow.scene.blocks.metrics.HeightMetric",
     "InletInsertion": "granflow.scene.blocks.insertions.InletInsertion",
     "LaceyMetric": "granflow.scene.blocks.metrics.LaceyMetric",
     "LatticeInsertion": "granflow.scene.blocks.insertions.LatticeInsertion",

@@ -829,6 +829,7 @@ RUN_QUANTITIES = by_name(
         Quantity("time_step", "dt", "s", "time step"),
         Quantity("rebuild_count", "", "1", "rebuilds of the neighbor list"),
         Quantity("wall_clock", "", "s", "wall-clock time of the whole run, including compilation"),
+        Quantity("warning_count", "", "1", "number of different warnings of the run"),
         Quantity(
             "steps_per_second",
             "",

@@ -119,7 +119,7 @@ DIMENSIONS: dict[str, Dimension] = {
     ),
     "damping": Dimension("a damping constant", "5 kg/s", _unit_table("kg/s 1, g/s 1e-3, Ns/m 1")),
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
-    "temperature": Dimension("a temperature", "300 K", _unit_table("K 1, mK 1e-3")),
+    "temperature": Dimension("a temperature", "300 K", _unit_table("K 1, mK 1e-3, degC 1, °C 1")),
     "heat_capacity": Dimension(
         "a specific heat capacity",
         "500 J/kg/K",
@@ -134,6 +134,8 @@ DIMENSIONS: dict[str, Dimension] = {
     "heat_flux": Dimension("a heat flux", "1 kW/m2", _unit_table("W/m2 1, W/m^2 1, W/m² 1, kW/m2 1e3")),
 }
 """Dimensions by name; the first unit of each is the SI unit."""
+ZERO_POINTS = {"degC": Fraction("273.15"), "°C": Fraction("273.15")}
+"""SI values of the zero points of units that do not begin at 0; they apply to values, not to differences."""
 _ANY = Dimension("a number or text with a unit", "2 t/h", {})
 
 
@@ -150,7 +152,7 @@ def dimensions_with(unit: str) -> dict[str, Dimension]:
 def si_unit_of(unit: str) -> str:
     """The SI unit that all dimensions of a unit share, "rad" for "deg"; empty for "%" and without a unit."""
     units = [
-        [name for name, factor in each.units.items() if factor == 1]
+        [name for name, factor in each.units.items() if factor == 1 and name not in ZERO_POINTS]
         for each in dimensions_with(unit).values()
     ]
     common = [name for name in (units[0] if units else ()) if all(name in each for each in units)]
@@ -187,7 +189,10 @@ def to_si(text: str, dimension: str) -> float:
 
 
 def exact_si(text: str, dimension: str) -> Fraction | float:
-    """The number of `to_si` without rounding; a float if it is zero, infinite or NaN. Raises UnitError."""
+    """The number of `to_si` without rounding; a float if it is zero, infinite or NaN. Raises UnitError.
+
+    The zero of a unit in ZERO_POINTS is not zero in SI.
+    """
     expected = dimension_of(dimension)
     if _COMMA.search(text):
         raise UnitError(f"a decimal point is expected, not a comma: {text.replace(',', '.')}")
@@ -197,9 +202,20 @@ def exact_si(text: str, dimension: str) -> Fraction | float:
     number, unit = match.groups()
     plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
     factor = _factor(unit, dimension)
-    if plain == 0 or not math.isfinite(plain):
+    zero = ZERO_POINTS.get(unit, 0)
+    if not math.isfinite(plain) or (plain == 0 and not zero):
         return plain
-    return (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor
+    return (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor + zero
+
+
+def factor_of(unit: str, dimension: str) -> float:
+    """Factor of a unit to SI, by which numbers are multiplied; 1 without a unit.
+
+    Raises UnitError if the unit is unknown, of another dimension, or one of ZERO_POINTS.
+    """
+    if unit in ZERO_POINTS and dimension in ("any", "temperature"):
+        raise UnitError(f"{unit} has its own zero point and applies to single values only; give K")
+    return float(_factor(unit, dimension))
 
 
 def _factor(unit: str, dimension: str) -> Fraction:
@@ -294,11 +310,12 @@ def column_factor(unit: str, si_unit: str) -> float:
     if not si_unit:
         known = [DIMENSIONS["number"]]
     for each in known:
-        if unit in each.units:
+        if unit in each.units and unit not in ZERO_POINTS:
             return float(each.units[unit])
     if not si_unit:
         raise UnitError(f"{unit} is no unit of a number; the only one is %")
     names = dict.fromkeys(name for each in known for name in each.units if name.isascii())
+    names = {name: None for name in names if name not in ZERO_POINTS}
     raise UnitError(f"{unit} is no unit of it; give {', '.join(names) or si_unit}")
 
 
@@ -358,7 +375,8 @@ def mixed_units(values: Iterable[Any]) -> str:
     for each in with_unit:
         if not dimensions_with(first).keys() & dimensions_with(each.unit).keys():
             return f"{first} and {each.unit} are units of different dimensions"
-    plain = next((each for each in numbers if not each.unit and each != 0.0), None)
+    is_relative = first not in ZERO_POINTS
+    plain = next((each for each in numbers if not each.unit and not (is_relative and each == 0.0)), None)
     return (
         "" if plain is None else f"{plain.text} has no unit; give all values in {first}, or all in SI units"
     )
@@ -377,7 +395,7 @@ def unit_conflict(given: str, expected: str) -> str:
 
 def in_unit(value: float, unit: str) -> float:
     """An SI number in a unit; unchanged without one."""
-    return value / to_si(f"1 {unit}", "any") if unit else value
+    return (value - float(ZERO_POINTS.get(unit, 0))) / float(_factor(unit, "any")) if unit else value
 
 
 def in_si(value: float, unit: str) -> float | str:

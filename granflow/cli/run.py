@@ -284,7 +284,8 @@ def add_resume(verbs: Any) -> None:
         "--until",
         metavar="T",
         type=simulated_time,
-        help="stop at this simulated time, such as 0.2s, not before that of the checkpoint",
+        help="stop at this simulated time, such as 0.2s, between that of the checkpoint and the end of the "
+        "run; to continue beyond the end, change the scene, such as --set run.duration=2s",
     )
     parser.add_argument(
         "--threads",

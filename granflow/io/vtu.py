@@ -2,7 +2,7 @@
 
 `VtuMesh` is what a file contains. meshio is imported with the first file: its import takes 60 ms. Three
 things are done around its calls, which meshio 5.3.5 does not do: special characters of names are escaped;
-units are added as field data; and a frame without cells gets a cell that meshio can read.
+units and other numbers are added as field data; and a frame without cells gets a cell that meshio can read.
 """
 
 import re
@@ -36,6 +36,7 @@ class VtuMesh:
     point_data:  arrays (n,) or (n, components) by name
     cell_data:   by name, one array (k,) or (k, components) for each block
     units:       SI units of arrays by name; names without an array have no effect
+    numbers:     of the whole mesh, by name; only written
     """
 
     points: np.ndarray
@@ -43,6 +44,7 @@ class VtuMesh:
     point_data: Mapping[str, np.ndarray] = field(default_factory=dict)
     cell_data: Mapping[str, list[np.ndarray]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    numbers: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def of_points(
@@ -89,9 +91,8 @@ def write_vtu(path: Path, mesh: VtuMesh, compression: Compression = "zlib") -> N
     """Write the mesh to a VTU file, atomically. Raises OSError."""
     import meshio
 
-    stated = [
-        f"{name} [{mesh.units[name]}]" for name in (*mesh.point_data, *mesh.cell_data) if name in mesh.units
-    ]
+    arrays = (*mesh.point_data, *mesh.cell_data)
+    stated = {f"{name} [{mesh.units[name]}]": 1 for name in arrays if name in mesh.units}
     is_empty = not any(len(block.data) for block in mesh.cells)
     cells, cell_data = _empty_cell(mesh) if is_empty else (mesh.cells, mesh.cell_data)
     with replacing(path) as temporary:
@@ -106,7 +107,7 @@ def write_vtu(path: Path, mesh: VtuMesh, compression: Compression = "zlib") -> N
             # meshio cannot read compressed arrays without values
             compression=None if compression == "none" or is_empty else compression,
         )
-        _add_field_data(temporary, stated)
+        _add_field_data(temporary, {**stated, **mesh.numbers})
 
 
 def _empty_cell(mesh: VtuMesh) -> tuple[list[CellBlock], dict[str, list[np.ndarray]]]:
@@ -130,18 +131,19 @@ def _attribute(text: str) -> str:
     return escape(text, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace").decode()
 
 
-def _add_field_data(path: Path, names: list[str]) -> None:
-    """Insert field data that state units: an array `velocity [m/s]` with the number 1, because meshio reads
-    no text.
+def _add_field_data(path: Path, numbers: Mapping[str, int]) -> None:
+    """Insert numbers as field data. Units are in their names, `velocity [m/s]` with the number 1, because
+    meshio reads no text.
 
     meshio writes no field data into VTU files. Readers accept them behind the piece, so that only the end is
     written.
     """
-    if not names:
+    if not numbers:
         return
     arrays = (
-        f'<DataArray type="Int8" Name="{_attribute(name)}" NumberOfTuples="1" format="ascii">1</DataArray>\n'
-        for name in names
+        f'<DataArray type="Int32" Name="{_attribute(name)}" NumberOfTuples="1" format="ascii">'
+        f"{number}</DataArray>\n"
+        for name, number in numbers.items()
     )
     with open(path, "r+b") as file:
         file.seek(-len(END), 2)

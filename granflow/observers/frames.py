@@ -6,6 +6,7 @@ Each kind of frames is a subclass of `Frames`, which turns a snapshot into a mes
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -248,7 +249,8 @@ class WallFrames(Frames):
     """`walls_NNNN.vtu`: the triangles of the present walls at their current position.
 
     triangles:  name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene; the cell array
-                `wall` is the index of the wall in that order
+                `wall` is the index of the wall in that order, and the field data `wall.NAME` has it for
+                each name
     measured:   areas [m2] of the walls with measured forces, None for an infinite wall; the cell arrays
                 `traction` and `pressure` [Pa] are their instantaneous values
     unbounded:  names of infinite walls, whose triangles remain in the domain
@@ -319,13 +321,14 @@ class WallFrames(Frames):
         if self._wear_areas:
             columns = np.concatenate(wear).astype(np.float32)
             cell_data |= {name: columns[:, k] for k, name in enumerate(WEAR_ARRAYS)}
-        return VtuMesh.of_cells(
+        mesh = VtuMesh.of_cells(
             "triangle",
             np.concatenate(points),
             np.concatenate(corners),
             cell_data,
             units(WALL_ARRAY_QUANTITIES),
         )
+        return replace(mesh, numbers={f"wall.{name}": index for index, name in enumerate(self._triangles)})
 
     def _traction_and_pressure(
         self, snapshot: Snapshot, index: int, name: str, count: int

@@ -17,7 +17,7 @@ from granflow.io.files import FormatError, read_text, resolved
 from granflow.io.tables import Table, is_number, table_in
 from granflow.io.vtu import read_vtu
 from granflow.particles.group import ParticleData, SceneGroup, particles_of
-from granflow.units import UnitError, to_si
+from granflow.units import UnitError, factor_of
 
 # Tables of particles: text with named columns in common formats, or a VTU frame.
 
@@ -342,7 +342,7 @@ def unit_factor(path: Path, table: Table, index: int, dimension: str) -> float:
     if unit is None or not unit[1].strip():
         return 1.0
     try:
-        return to_si(f"1 {unit[1].strip()}", dimension)
+        return factor_of(unit[1].strip(), dimension)
     except UnitError as error:
         raise SceneError(f"{path}:{table.heading_line}: the unit of {name} is invalid: {error}.") from None
 

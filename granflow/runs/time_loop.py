@@ -363,7 +363,7 @@ class TimeLoop:
             )
         self.state.observers.log_end()
         log.info("done at %.6g s after %d steps", engine.time, engine.step_count)
-        return result
+        return self._evaluated(result)
 
     def result(self) -> Result:
         """Numbers of the run so far, with expectations if all stages have ended.
@@ -373,10 +373,15 @@ class TimeLoop:
         state = self.state
         totals = self.engine.snapshot(state.progress.stage, frozenset({TOTALS})).totals
         readings = {**state.observers.readings(), "insertion": state.insertion.results()}
-        result = collect_result(self.engine, state.wall_clock, totals, readings)
+        return self._evaluated(collect_result(self.engine, state.wall_clock, totals, readings))
+
+    def _evaluated(self, result: Result) -> Result:
+        """The result with the number of warnings so far, and with expectations if all stages have ended."""
+        warning_count = float(len(self.files.warnings))
+        result = replace(result, run={**result.run, "warning_count": warning_count})
         if not self.stages_ended:
             return replace(result, is_complete=False)
-        return result.with_expectations(state.plan.scene.expect)
+        return result.with_expectations(self.state.plan.scene.expect)
 
 
 # Particles that left the domain where none is expected to leave it.

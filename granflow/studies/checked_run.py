@@ -166,7 +166,10 @@ def unknown_quantity(name: str, scene: Scene) -> str:
     near = nearest(name, known)
     reason = f"{name} is not a number of a run of {scene.path.name or 'the scene'}."
     if name == "warnings":
-        return f"{reason} sweep.csv and runs.csv have a column with the warnings in any case."
+        return (
+            f"{reason} sweep.csv and runs.csv have a column with the warnings in any case; their number is "
+            "warning_count."
+        )
     if near:
         return f"{reason} Did you mean {near}?"
     means = tuple(f"{each}." for each in STAGE_QUANTITIES)

@@ -37,7 +37,7 @@ from granflow.studies.interactive_plots import (
     thinned,
 )
 from granflow.studies.page import write_page
-from granflow.units import UnitError, column_factor, si_unit_of, split_heading, to_si
+from granflow.units import UnitError, column_factor, factor_of, si_unit_of, split_heading
 from granflow.visible_text import distinct_endings, numbered, visible
 
 # Columns of a time series, and arithmetic expressions of them, such as `wall_displacement.lid / 0.1`.
@@ -259,7 +259,7 @@ def _in_si(table: Table, path: Path) -> TimeSeriesTable | None:
 def _column_in_si(column: SeriesColumn) -> SeriesColumn:
     """A column in the SI unit; unchanged if its unit is unknown, or one of several dimensions, such as g."""
     try:
-        factor = to_si(f"1 {column.unit}".strip(), "any")
+        factor = factor_of(column.unit, "any")
     except UnitError:
         return column
     return SeriesColumn(column.name, si_unit_of(column.unit), column.values * factor)

@@ -41,6 +41,7 @@ from granflow.io.tables import (
 )
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.output import unit_of
+from granflow.scene.blocks.sizes import SizeDistribution
 from granflow.studies.figures import COLORS, PageTable
 from granflow.studies.frames import VIEWS, Frame, filled_frames, frames_of
 from granflow.studies.interactive_plots import (
@@ -576,32 +577,26 @@ def size_topics(record: Run, with_plots: bool) -> Iterator[Topic]:
     if not paths or record.scene_problem:
         return
     frame = record.frames[max(range(len(paths)), key=lambda k: paths[k].stat().st_size)]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     curves: list[dict[str, Any]] = []
-    for number, name in enumerate(record.scene.particles):
-        diameter = np.sort(frame.particles["diameter"][frame.particles["group"] == number].astype(np.float64))
-        if not len(diameter) or diameter[0] == diameter[-1]:
+    for number, (name, group) in enumerate(record.scene.particles.items()):
+        found = frame.particles["diameter"][frame.particles["group"] == number].astype(np.float64)
+        if not len(found) or found.min() == found.max():
             continue
-        share = np.cumsum(diameter**3) / np.sum(diameter**3)
+        diameter, share = mass_curve(found)
         reached = (1e3 * diameter[np.searchsorted(share, part)] for part in (0.1, 0.5, 0.9))
+        line = {"color": COLORS[len(rows) % len(COLORS)], "width": 1.8}
         rows.append((name, readable(float(len(diameter))), *(f"{each:.4g}" for each in reached)))
-        kept = np.unique(np.linspace(0, len(diameter) - 1, MOST_SIZES).astype(int))
-        curves.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": name,
-                "x": plain_numbers(1e3 * diameter[kept]),
-                "y": plain_numbers(share[kept]),
-                "line": {"color": COLORS[len(curves) % len(COLORS)], "width": 1.8},
-            }
-        )
+        curves.append(size_curve(name, diameter, share, line))
+        if isinstance(given := group.diameter, SizeDistribution):
+            drawn = given.draw(SAMPLE, np.random.default_rng(0))
+            curves.append(size_curve(f"{name}, as given", *mass_curve(drawn), line | {"dash": "dot"}))
     if not rows:
         return
     heads = ("group", "particles", "d10 (mm)", "d50 (mm)", "d90 (mm)")
     caption = (
         f"Particles at {frame.time:.4g} s, when they are most: 10, 50 and 90 % of the mass of a group are "
-        "finer than d10, d50 and d90."
+        "finer than d10, d50 and d90. A dotted curve is the distribution in the scene."
     )
     figure = {
         "data": curves,
@@ -613,6 +608,28 @@ def size_topics(record: Run, with_plots: bool) -> Iterator[Topic]:
 
 MOST_SIZES = 400
 """Largest number of points of a curve of sizes."""
+SAMPLE = 100_000
+"""Number of diameters that represent a given distribution."""
+
+
+def mass_curve(diameter: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ascending diameters (n,) and the share of the mass in particles up to each of them (n,)."""
+    ascending = np.sort(diameter)
+    mass = np.cumsum(ascending**3)
+    return ascending, mass / mass[-1]
+
+
+def size_curve(name: str, diameter: np.ndarray, share: np.ndarray, line: dict[str, Any]) -> dict[str, Any]:
+    """A curve of the plot, with at most MOST_SIZES of the ascending diameters (n,) [m]."""
+    kept = np.unique(np.linspace(0, len(diameter) - 1, MOST_SIZES).astype(int))
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "x": plain_numbers(1e3 * diameter[kept]),
+        "y": plain_numbers(share[kept]),
+        "line": line,
+    }
 
 
 # Residence times (`output.residence_time`)

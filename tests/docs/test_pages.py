@@ -184,7 +184,9 @@ def test_site_is_built_and_a_dead_link_fails(copied_docs):
     done = build(copied_docs)
     assert done.returncode == 0, done.stderr
     site = copied_docs / "out" / "site"
-    assert 'id="cone-radius-from"' in (site / "reference" / "scene.html").read_text(encoding="utf-8")
+    assert 'id="cone-radius-from"' in (site / "reference" / "scene" / "walls.html").read_text(
+        encoding="utf-8"
+    )
     assert "<math" in (site / "contact_models" / "zhou.html").read_text(encoding="utf-8")
     assert not re.search(
         r'(?:src|href)="https?://(?!squidfunk|doi)', (site / "index.html").read_text(encoding="utf-8")

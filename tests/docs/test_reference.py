@@ -36,12 +36,12 @@ def keys():
 
 
 def test_every_scene_key_has_a_description_and_a_type_and_is_in_the_reference(keys):
-    page = docsite("scene_reference").page()
-    anchor = docsite("scene_reference").key_anchor
+    reference = docsite("scene_reference")
     assert len(keys) > 200
     for key in keys:
         assert key.description and type_text(key.schema), key
-        assert f'<span id="{anchor(key)}"></span>`{key.name}`' in page
+        page = reference.pages()[reference.page_of(key.part)]
+        assert f'<span id="{reference.key_anchor(key)}"></span>`{key.name}`' in page
 
 
 def test_undocumented_key_is_an_error():
@@ -52,9 +52,15 @@ def test_undocumented_key_is_an_error():
 
 
 def test_links_of_the_scene_reference_have_targets():
-    page = docsite("scene_reference").page()
-    targets = set(re.findall(r"\{ #([\w-]+) \}", page))
-    assert set(re.findall(r"\]\(#([\w-]+)\)", page)) <= targets
+    pages = docsite("scene_reference").pages()
+    targets = {name: set(re.findall(r"\{ #([\w-]+) \}", page)) for name, page in pages.items()}
+    found = 0
+    for name, page in pages.items():
+        folder = name.rpartition("/")[0]
+        for target, part in re.findall(r"\]\(([\w/]*)(?:\.md)?#([\w-]+)\)", page):
+            assert part in targets[f"{folder}/{target}".strip("/") if target else name], (name, target, part)
+            found += 1
+    assert found > 200
 
 
 def test_examples_of_keys_are_valid(keys):
@@ -132,16 +138,20 @@ def test_every_command_and_its_options_are_in_the_reference():
 
 
 def test_public_names_their_members_and_keys_are_in_the_reference_of_python():
-    page = docsite("api_page").page()
-    blocks = docsite("api_page").blocks_page()
-    assert all((page + blocks).count(f"\n### {name}\n") == 1 for name in granflow.__all__)
+    overview = docsite("api_page").page() + docsite("api_page").blocks_page()
+    classes = docsite("api_page").class_pages()
+    for name in granflow.__all__:
+        heading = f"](python/{name}.md)" if name in classes else f"\n### {name}\n"
+        assert overview.count(heading) == 1
     for member in ("LiveParticles.velocity", "LiveWall.motion", "NormalLaw.force", "TangentialLaw.limit"):
-        assert f"\n#### {member}\n" in page
+        assert f"\n## {member}\n" in classes[member.partition(".")[0]]
     members = "overlap_rate [m/s], positive during approach"
-    assert members in " ".join(page.split()), "the members of the structs"
-    scene = docsite("scene_reference").page()
-    links = re.findall(r"\(scene\.md#([\w-]+)\)", blocks)
-    assert len(links) > 150 and all(f'<span id="{link}"></span>' in scene for link in links)
+    assert members in " ".join(overview.split()), "the members of the structs"
+    scene = docsite("scene_reference").pages()
+    links = [
+        each for page in classes.values() for each in re.findall(r"\(\.\./(scene[\w/]*)\.md#([\w-]+)\)", page)
+    ]
+    assert len(links) > 150 and all(f'<span id="{link}"></span>' in scene[page] for page, link in links)
 
 
 def test_every_contact_model_has_a_page_with_its_facts():

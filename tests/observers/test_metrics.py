@@ -358,3 +358,32 @@ def test_probe_follows_one_particle_by_its_id():
         assert list(meter.readings().values()) == pytest.approx(expected)
     meter.update(snapshot_of(particles=particles_of(10, position=numbers, id=np.arange(10) + 5, **moving)))
     assert np.isnan(list(meter.readings().values())).all()
+
+
+def test_height_of_a_level_bed_and_of_its_volume():
+    """Layers of equal spheres at z = (2 k + 1) r, and one sphere that falls above them.
+
+    Below the level z, a full layer and the cap pi h^2 (r - h / 3) of the next one lie. The share 0.9 of 41
+    spheres is 36.9, 4.9 of the fifth layer with 8 spheres: the cap has 0.6125 of the volume of a sphere.
+    """
+    radius = 0.01
+    x, y, layer = np.meshgrid(np.arange(4), np.arange(2), np.arange(5), indexing="ij")
+    center = radius * np.column_stack([2 * x.ravel(), 2 * y.ravel(), 2 * layer.ravel() + 1])
+    center = np.vstack([center, [[0.0, 0.0, 1.0]]])
+    contacts = np.full(41, 3, np.int32)
+    contacts[-1] = 0
+    scene = scene_with(level={"kind": "height", "base": -0.5, "share": 0.9})
+    particles = particles_of(
+        41, position=center[:, [0, 2, 1]], radius=np.full(41, radius), fixed=np.zeros(41),
+        coordination_number=contacts
+    )  # fmt: skip
+    meter = metric_meters(plan_for(scene))["level"]
+    meter.update(snapshot_of(particles=particles))
+    found = meter.readings()
+    assert found["bed_height"] == found["heap_height"] == pytest.approx(0.5 + 10 * radius)
+    h = (found["height_of_volume"] - 0.5) / radius - 8.0
+    assert h**2 * (3.0 - h) / 4.0 == pytest.approx(0.6125)
+    particles["coordination_number"][:] = 0
+    meter.update(snapshot_of(particles=particles))
+    assert np.isnan(meter.readings()["bed_height"])
+    assert "no particle in the region has two contacts" in meter.remark

@@ -133,6 +133,8 @@ def test_walls_follow_their_pose_and_absent_walls_are_omitted(tmp_path):
     np.testing.assert_array_equal(mesh.points[4:], SQUARE[0] + [0, 0, 2])
     np.testing.assert_array_equal(mesh.cells_dict["triangle"], [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     np.testing.assert_array_equal(mesh.cell_data["wall"][0], [0, 0, 2, 2])
+    names = {name: int(number[0]) for name, number in mesh.field_data.items() if name.startswith("wall.")}
+    assert names == {"wall.floor": 0, "wall.gate": 1, "wall.lid": 2}
 
 
 def test_pvd_lists_exactly_the_frames_on_disk_with_their_times(tmp_path):

@@ -43,7 +43,7 @@ VALUES = {
     "mass_flow": {"kg/s": 1.0, "g/s": 0.001, "kg/min": PER_MINUTE, "kg/h": PER_HOUR,
                   "t/h": 0.2777777777777778},
     "damping": {"kg/s": 1.0, "g/s": 0.001, "Ns/m": 1.0}, "force": {"N": 1.0, "kN": 1000.0, "mN": 0.001},
-    "temperature": {"K": 1.0, "mK": 0.001},
+    "temperature": {"K": 1.0, "mK": 0.001, "degC": 274.15, "°C": 274.15},
     "heat_capacity": {"J/kg/K": 1.0, "J/(kg*K)": 1.0, "kJ/kg/K": 1000.0, "kJ/(kg*K)": 1000.0, "J/g/K": 1000.0,
                       "J/(g*K)": 1000.0},
     "thermal_conductivity": {"W/m/K": 1.0, "W/(m*K)": 1.0, "mW/m/K": 0.001, "mW/(m*K)": 0.001},
@@ -66,4 +66,6 @@ def test_table_contains_every_unit():
 @pytest.mark.parametrize("dimension", sorted(VALUES))
 def test_units_multiply_any_number(dimension):
     for unit, value in VALUES[dimension].items():
-        assert math.isclose(to_si(f"-2.5e3 {unit}", dimension), -2500.0 * value, rel_tol=1e-15)
+        zero = 273.15 if unit in ("degC", "°C") else 0.0
+        expected = zero - 2500.0 * (value - zero)
+        assert math.isclose(to_si(f"-2.5e3 {unit}", dimension), expected, rel_tol=1e-15)

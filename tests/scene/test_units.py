@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from granflow.units import DIMENSIONS, UnitError, to_si
+from granflow.units import DIMENSIONS, UnitError, column_factor, factor_of, in_si, in_unit, to_si
 
 GOOD = [
     ("4 mm", "length", 0.004), ("25.4mm", "length", 0.0254), ("  1e-5  ", "length", 1e-5),
@@ -15,7 +15,8 @@ GOOD = [
     ("10 %", "number", 0.1), ("1 nJ", "energy", 1e-9), ("1e-400 m", "length", 0.0),
     ("1e400 m", "length", math.inf),
     ("-1e308 km", "length", -math.inf), ("1" * 5000, "length", math.inf),
-    ("0." + "3" * 5000 + " m", "length", 1 / 3)
+    ("0." + "3" * 5000 + " m", "length", 1 / 3),
+    ("20 degC", "temperature", 293.15), ("0 °C", "any", 273.15), ("-10 degC", "temperature", 263.15),
 ]  # fmt: skip
 
 
@@ -35,6 +36,15 @@ def test_invalid_lengths_are_rejected(text):
 def test_ambiguous_unit_is_rejected_without_a_dimension():
     with pytest.raises(UnitError, match="g is ambiguous"):
         to_si("2 g", "any")
+
+
+def test_degrees_celsius_are_units_of_values_but_not_of_factors():
+    assert in_unit(293.15, "degC") == pytest.approx(20.0, rel=1e-14)
+    assert in_si(293.15, "degC") == "293.15 K"
+    with pytest.raises(UnitError, match="give K"):
+        factor_of("degC", "temperature")
+    with pytest.raises(UnitError, match="give K, mK"):
+        column_factor("degC", "K")
 
 
 def test_example_of_every_dimension_is_valid():

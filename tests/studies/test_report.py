@@ -12,6 +12,7 @@ import pytest
 from scene_runner import SCENES
 from studies.test_page import BalanceParser
 
+import granflow as gf
 from granflow import read_run
 from granflow.cli.main import main
 from granflow.io.log import RecordEntry, SessionFacts, read_record, sessions, warnings_and_errors
@@ -275,17 +276,25 @@ def test_sizes_of_the_frame_with_most_particles_are_shares_of_the_mass(tmp_path)
     """Group a: 8 of 1 mm and 1 of 2 mm, half of the mass each; group b has one size."""
     for name, size in (("first", 9), ("second", 99)):
         (tmp_path / name).write_text(size * " ")
+    sieves = [
+        {"opening": 1e-3, "passing": 0},
+        {"opening": 2e-3, "passing": 0.4},
+        {"opening": 4e-3, "passing": 1},
+    ]
+    sizes = gf.SieveSizes(sieves=sieves)
     particles = {"diameter": np.array([1e-3] * 8 + [2e-3, 3e-3, 3e-3]), "group": np.array([0] * 9 + [1, 1])}
     record = SimpleNamespace(
         frames=Frames(
             [(0.5, tmp_path / "first"), (1.5, tmp_path / "second"), (2.5, tmp_path / "first")],
             lambda time, _: SimpleNamespace(time=time, particles=particles),
         ),
-        scene_problem="", scene=SimpleNamespace(particles={"a": None, "b": None}),
+        scene_problem="",
+        scene=SimpleNamespace(particles={"a": SimpleNamespace(diameter=sizes), "b": None}),
     )  # fmt: skip
     (topic,) = size_topics(record, True)
     assert topic.tables[0].rows == [("a", "9", "1", "1", "2")] and "1.5 s" in topic.tables[0].caption
-    (curve,) = topic.plots[0].figure["data"]
+    curve, given = topic.plots[0].figure["data"]
+    assert np.interp(2.0, given["x"], given["y"]) == pytest.approx(0.4, abs=0.01)
     assert curve["y"] == pytest.approx([k / 16 for k in range(1, 9)] + [1.0]) and curve["x"][-1] == 2.0
 
 

@@ -1,4 +1,4 @@
-"""Reference page of the Python interface: signatures and docstrings of the public names."""
+"""Reference pages of the Python interface: signatures and docstrings of the public names, one page per class."""
 
 import inspect
 import re
@@ -7,7 +7,8 @@ from importlib import import_module
 from typing import Any
 
 import granflow
-from docsite.markdown import anchor
+from docsite.markdown import anchor, code, table
+from docsite.scene_reference import page_of
 from granflow.schema.model import Model
 
 INTRODUCTION = """\
@@ -26,7 +27,7 @@ table = gf.read_run("out/hopper").timeseries             # pandas
 
 Names of the package `granflow`, imported as `gf` in the examples, in SI units. Arrays are numpy arrays with the shape
 in parentheses. The [guide](../guides/scenes_in_python.md) builds a scene in Python, runs it and reads its results; the
-[blocks of a scene](python_blocks.md) have a page of their own. In the examples, `two.yaml` is the
+[blocks of a scene](python_blocks.md) have a table of their own. In the examples, `two.yaml` is the
 [first scene](../tutorials/first_scene.md) and `out/two` its run.
 """
 BLOCKS_INTRODUCTION = """\
@@ -59,7 +60,7 @@ GROUPS: Mapping[str, Sequence[str]] = {
     "Plans": ("plan_for", "Plan", "explain", "estimate_memory"),
     "Errors": ("GranflowError", "SceneError", "RunError", "OutputError", "FunctionError"),
 }
-"""Names of the first page by topic; names without a topic follow."""
+"""Names of the overview by topic; names without a topic follow."""
 PARTS: Mapping[str, Mapping[str, Sequence[str]]] = {
     "Parts of a simulation": {
         "granflow.live.particles": ("LiveParticles", "ParticleArray"),
@@ -97,27 +98,43 @@ LONGEST_SIGNATURE = 12
 
 
 def page() -> str:
-    """The page in Markdown, without blocks. Raises ValueError for a public name without a docstring."""
+    """The overview in Markdown, without blocks: functions, and a table of the classes of each topic.
+
+    Raises ValueError for a public name without a docstring.
+    """
     remaining = [name for name in granflow.__all__ if not is_block(name)]
     lines = [INTRODUCTION]
     for topic, names in GROUPS.items():
-        lines += [f"## {topic}\n", *(section(name) for name in names)]
+        lines += [f"## {topic}\n", *_topic({name: getattr(granflow, name) for name in names})]
         remaining = [name for name in remaining if name not in names]
     for topic, modules in PARTS.items():
         lines.append(f"## {topic}\n")
         for module, names in modules.items():
             introduction = inspect.getdoc(import_module(module)) or ""
-            lines += [f"{introduction}\n"] * ("\n" in introduction) + [
-                part_section(module, name) for name in names
-            ]
+            lines += [f"{introduction}\n"] * ("\n" in introduction)
+            lines += _topic({name: getattr(import_module(module), name) for name in names})
     if remaining:
-        lines += ["## Further names\n", *map(section, remaining)]
+        lines += ["## Further names\n", *_topic({name: getattr(granflow, name) for name in remaining})]
     return "\n".join(lines)
 
 
 def blocks_page() -> str:
-    """The page of the blocks of a scene, each with its keys."""
-    return "\n".join([BLOCKS_INTRODUCTION, *(section(name) for name in granflow.__all__ if is_block(name))])
+    """The table of the blocks of a scene."""
+    blocks = {name: getattr(granflow, name) for name in granflow.__all__ if is_block(name)}
+    return "\n".join([BLOCKS_INTRODUCTION, *_topic(blocks)])
+
+
+def class_pages() -> dict[str, str]:
+    """The page of each class by its name: a public name of the package, or one in PARTS."""
+    found = {
+        name: class_page(name, getattr(granflow, name))
+        for name in granflow.__all__
+        if inspect.isclass(getattr(granflow, name))
+    }
+    for modules in PARTS.values():
+        for module, names in modules.items():
+            found |= {name: class_page(name, getattr(import_module(module), name), module) for name in names}
+    return found
 
 
 def is_block(name: str) -> bool:
@@ -126,31 +143,39 @@ def is_block(name: str) -> bool:
     return inspect.isclass(thing) and issubclass(thing, Model) and thing is not granflow.Scene
 
 
-def section(name: str) -> str:
-    """Signature and docstring of a function or class, with the public members of a class, or the keys of a
-    block."""
-    thing = getattr(granflow, name)
-    lines = [f"### {name}\n", signature(name, thing), docstring(name, thing)]
-    if is_block(name):
-        lines.append(f"Keys: {', '.join(_key_link(name, key) for key in _keys(thing))}.\n")
-    elif inspect.isclass(thing) and not issubclass(thing, Exception):
-        for member, value in members(thing):
-            lines += [f"#### {name}.{member}\n", value]
-    return "\n".join(lines)
-
-
-def part_section(module: str, name: str) -> str:
-    """Module and docstring of a class that is not a name of the package, with its public members."""
-    thing = getattr(import_module(module), name)
-    is_created = module.startswith("granflow.contact")
-    lines = [
-        f"### {name}\n",
-        f"In `{module}`.\n",
-        signature(name, thing) if is_created else "",
-        docstring(name, thing),
+def _topic(things: Mapping[str, Any]) -> Iterator[str]:
+    """A table of the classes among named things, with links to their pages, and a section for each function."""
+    rows = [
+        (f"[{code(name)}](python/{name}.md)", _first_sentence(thing))
+        for name, thing in things.items()
+        if inspect.isclass(thing)
     ]
-    for member, value in members(thing):
-        lines += [f"#### {name}.{member}\n", value]
+    if rows:
+        yield table(("class", "meaning"), rows)
+    for name, thing in things.items():
+        if not inspect.isclass(thing):
+            yield "\n".join([f"### {name}\n", signature(name, thing), docstring(name, thing)])
+
+
+def _first_sentence(thing: Any) -> str:
+    """First sentence of the docstring of a class."""
+    first = " ".join((inspect.getdoc(thing) or "").split("\n\n")[0].split())
+    return re.split(r"(?<=\.) (?=[A-Z`])", first)[0]
+
+
+def class_page(name: str, thing: Any, module: str = "") -> str:
+    """Signature and docstring of a class with its public members, or the keys of a block.
+
+    `module`: of a class that is not a name of the package.
+    """
+    has_signature = not module or module.startswith("granflow.contact")
+    lines = [f"# {name}\n", *([f"In `{module}`.\n"] if module else [])]
+    lines += [signature(name, thing) if has_signature else "", docstring(name, thing)]
+    if not module and is_block(name):
+        lines.append(f"Keys: {', '.join(_key_link(name, key) for key in _keys(thing))}.\n")
+    elif not issubclass(thing, Exception):
+        for member, value in members(thing):
+            lines += [f"## {name}.{member}\n", value]
     return "\n".join(lines)
 
 
@@ -161,7 +186,7 @@ def _keys(block: type[Model]) -> list[str]:
 
 def _key_link(block: str, key: str) -> str:
     """Key with a link to its type, unit, range and default."""
-    return f"[`{key}`](scene.md#{anchor(f'{block} {key}')})"
+    return f"[`{key}`](../{page_of(block)}.md#{anchor(f'{block} {key}')})"
 
 
 def signature(name: str, thing: Any) -> str:

@@ -28,7 +28,6 @@ from docsite import (  # noqa: E402
 )
 
 PAGES: Mapping[str, Callable[[], str]] = {
-    "reference/scene.md": scene_reference.page,
     "reference/commands.md": command_page.page,
     "reference/timeseries.md": quantity_pages.time_series,
     "reference/vtu.md": quantity_pages.vtu_arrays,
@@ -50,10 +49,16 @@ FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>
 def on_files(files: Any, config: Any) -> Any:
     """Add the generated pages and pictures. Raises PluginError for a contact model without a page."""
     from mkdocs.exceptions import PluginError
-    from mkdocs.structure.files import File
+    from mkdocs.structure.files import File, InclusionLevel
 
     for path, page in PAGES.items():
         files.append(File.generated(config, path, content=page()))
+    for name, text in scene_reference.pages().items():
+        files.append(File.generated(config, f"reference/{name}.md", content=text))
+    for name, text in api_page.class_pages().items():
+        inclusion = InclusionLevel.NOT_IN_NAV
+        path = f"reference/python/{name}.md"
+        files.append(File.generated(config, path, content=text, inclusion=inclusion))
     for name in notebook_pages.names():
         files.append(File.generated(config, f"notebooks/{name}.md", content=notebook_pages.page(name)))
         source = str(notebook_pages.path_of(name))

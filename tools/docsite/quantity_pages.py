@@ -51,7 +51,8 @@ UNITS = """\
 # Units
 
 A number without a unit is in the SI unit, the first of each row. Text with a unit is converted with a single
-rounding: `4 mm` is the same floating-point number as `0.004`. `%` is a hundredth.
+rounding: `4 mm` is the same floating-point number as `0.004`. `%` is a hundredth. Degrees Celsius
+(`20 degC`, `20 °C`) are for single temperatures: columns of files and differences are in K.
 """
 PRESET_PAGE = """\
 # Material presets
@@ -96,7 +97,8 @@ def vtu_arrays() -> str:
             "## contacts_NNNN.vtu\n\nWith `output.contacts: true`: one line per contact, from center to "
             "center or to the contact point on a wall.\n",
             array_table(contacts),
-            "## walls_NNNN.vtu\n\nThe triangles of the walls that are present.\n",
+            "## walls_NNNN.vtu\n\nThe triangles of the walls that are present. The field data (in "
+            "ParaView's *Information* panel) name the walls: `wall.belt` contains 2 if the array `wall` is 2 on the belt.\n",
             array_table(fields.WALL_ARRAY_QUANTITIES.values()),
             "## fields_NAME_NNNN.vtu\n\nWith `output.fields`: one value per cell of a grid "
             "([formulas](../guides/coarse_graining.md)).\n",

@@ -561,6 +561,81 @@ class ReposeMetric(Metric):
         return Reading(numbers, slope.reason and f"the angle of repose is NaN: {slope.reason}")
 
 
+# Height of a bed or heap
+
+
+def height_of_share(height: np.ndarray, radius: np.ndarray, share: float) -> float:
+    """The height [m] below which a share of the volume of spheres lies; NaN without spheres.
+
+    height (n,): of the centers [m]; radius (n,) [m]; share: above 0, at most 1. A sphere that the level cuts
+    counts with its cap of the height h, pi h^2 (r - h/3). The root is found by bisection.
+    """
+    if not len(height):
+        return float("nan")
+    low = float((height - radius).min())
+    high = float((height + radius).max())
+    wanted = share * float(sphere_volume(radius).sum())
+    while (middle := 0.5 * (low + high)) not in (low, high):
+        cap = np.clip(middle - height + radius, 0.0, 2.0 * radius)
+        if float((np.pi * cap**2 * (radius - cap / 3.0)).sum()) < wanted:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+class HeightMetric(Metric):
+    """Height [m] of a bed or heap above a base: mean and highest point of its free surface, and the level
+    below which a share of the particle volume lies.
+
+    The vertical is opposite to gravity. The free surface consists of the tops of the highest particles of
+    columns that are two largest diameters wide. Particles with fewer than two contacts, such as those that
+    fall, are excluded from the surface, but not from the volume.
+
+    >>> gf.HeightMetric(base="5 mm").share
+    0.95
+    """
+
+    kind: Literal["height"] = Field("height", description="kind of metric")
+    region: Box | None = optional("box whose particles are evaluated", "all particles")
+    base: q.Length = Field(
+        0.0, description="level from which heights are measured, along the axis opposite to gravity [m]"
+    )
+    share: Annotated[float, q.Number(above=0, at_most=1)] = Field(
+        0.95, description="share of the particle volume that lies below height_of_volume"
+    )
+    quantities = (
+        Quantity("bed_height", "", "m", "mean height of the free surface above the base"),
+        Quantity("heap_height", "", "m", "height of the highest point of the free surface above the base"),
+        Quantity("height_of_volume", "", "m", "height below which a share of the particle volume lies"),
+    )
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`."""
+        if not any(parts.scene.gravity):
+            yield Fault(("kind",), "gravity is zero, so the height is undefined; remove this metric")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; the vertical is opposite to gravity, also if gravity is inclined."""
+        frame = frame_along(-np.array(scene.gravity) / np.linalg.norm(scene.gravity))
+        particles = mobile_particles(snapshot.particles)
+        particles = selected(particles, _inside(particles["position"], self.region))
+        points = particles["position"].astype(float) @ frame.T
+        radius = particles["radius"].astype(float)
+        rests = particles["coordination_number"] + _wall_contacts(particles) >= MIN_CONTACTS
+        tops: np.ndarray = np.zeros(0)
+        if rests.any():
+            edge = COLUMN_WIDTH * 2.0 * scene.largest_radius
+            tops = surface_points(points[rests], radius[rests], edge)[:, 2]
+        numbers = {
+            "bed_height": _mean(tops) - self.base,
+            "heap_height": float(tops.max(initial=-np.inf)) - self.base if len(tops) else float("nan"),
+            "height_of_volume": height_of_share(points[:, 2], radius, self.share) - self.base,
+        }
+        remark = "the height of the bed is NaN: no particle in the region has two contacts"
+        return Reading(numbers, "" if len(tops) else remark)
+
+
 # Directions of contacts
 
 
@@ -885,6 +960,7 @@ AnyMetric = Annotated[
     LaceyMetric
     | SegregationMetric
     | ReposeMetric
+    | HeightMetric
     | FabricMetric
     | CoordinationMetric
     | ContentMetric

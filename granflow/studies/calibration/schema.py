@@ -17,7 +17,7 @@ from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.messages import suggestion_or_list
 from granflow.schema.model import FileName, ListOf, Model, Name, Text
 from granflow.schema.quantities import GivenQuantity, NumberWithUnit, bound_faults
-from granflow.units import GivenNumber, in_si, in_unit, mixed_units, unit_conflict
+from granflow.units import ZERO_POINTS, GivenNumber, in_si, in_unit, mixed_units, unit_conflict
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]
 Tolerance = Annotated[GivenNumber, NumberWithUnit("any", noun="a tolerance", above=0)]
@@ -89,6 +89,11 @@ class Target(Model):
             yield Fault(("tolerance",), reason)
         for key in ("value", "tolerance"):
             given = getattr(self, key)
+            if given is not None and given.unit in ZERO_POINTS:
+                yield Fault(
+                    (key,), f"targets are compared by differences, which have no {given.unit}: give K"
+                )
+                continue
             if given is not None and (reason := unit_conflict(given.unit, unit_of(self.quantity))):
                 yield Fault((key,), f"{self.quantity} is {reason}")
 

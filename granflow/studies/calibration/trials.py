@@ -33,7 +33,7 @@ from granflow.studies.run_process import (
     reason_without,
     warnings_of,
 )
-from granflow.units import UnitError, column_factor, split_heading, to_si
+from granflow.units import UnitError, column_factor, factor_of, split_heading
 
 # Targets with their measured values
 
@@ -79,7 +79,7 @@ def read_target(target: Target, folder: Path, position: str) -> Measured:
     """
     if target.value is not None:
         unit = target.value.unit
-        factor = to_si(f"1 {unit}".strip(), "any")
+        factor = factor_of(unit, "any")
         return Measured(target, None, np.array([target.value], dtype=float), unit, factor, position)
     assert target.curve is not None
     path = folder / target.curve
