@@ -89,23 +89,17 @@ def save(path, simulation):
         arrays |= {
             "growths": np.array(engine.timing.growth_count),
             "migrations": engine.migrations(),
-            "owned": engine.owned(),
         }
     np.savez(path, **arrays)
     simulation.free()
 
 
 class ObservedEngine(RankEngine):
-    """An engine whose root also returns the numbers of migrations and of particles."""
+    """An engine whose root also returns the numbers of migrations."""
 
     def migrations(self):
         with self.communicator.commanding("migrations"):
             return np.array(self.communicator.to_root(sum(Recorded.sent[1:])))
-
-    def owned(self):
-        """Number of particles of each rank."""
-        with self.communicator.commanding("owned"):
-            return np.array(self.communicator.to_root(self.state.count))
 
 
 class Recorded(Decomposition):

@@ -1,8 +1,6 @@
 """Scenes that `rank_runs` runs alone and on MPI ranks, by name."""
 
-import numpy as np
 from scene_builders import (
-    box,
     build_scene,
     moving_lattice,
     particle_group,
@@ -27,22 +25,6 @@ def bed(steps=300, groups=None, **changes):
         "walls": vibrating_box(0.042),
     }
     return build_scene({"lattice": lattice} | (groups or {}), **(parts | changes))
-
-
-def uneven():
-    """125 particles in contact beside 125 without, in a long box: ranks with equal costs have unequal
-    counts."""
-    dense = 0.01 * 0.99 * (np.argwhere(np.ones((5, 5, 5))) + 0.55)
-    dilute = 0.01 * (2.0 * np.argwhere(np.ones((5, 5, 5))) + [6.5, 0.5, 0.5])
-    walls = box(0.101)
-    walls["high_x"]["point"] = [0.2, 0.0, 0.0]
-    velocity = np.random.default_rng(3).uniform(-0.5, 0.5, dilute.shape).tolist()
-    groups = {"dense": particle_group(dense), "dilute": particle_group(dilute, velocity=velocity)}
-    return build_scene(
-        groups, walls, pair={"friction": 0.4, "restitution": 0.2}, gravity=[0.0, 0.0, -9.81],
-        numerics={"chunk_size": 32, "skin": 1e-4}, output={"interval": 1.0, "energy_budget": True},
-        run={"duration": 500 * TIME_STEP, "velocity_max": 4.0, "time_step": TIME_STEP},
-    )  # fmt: skip
 
 
 def pair(**changes):
@@ -75,7 +57,6 @@ def resumable():
 
 
 SCENES = {
-    "uneven": uneven,
     "long": lambda: bed(3000),
     "pair": pair,
     "resumable": resumable,

@@ -76,30 +76,6 @@ def test_an_error_names_function_and_time_after_a_checkpoint_from_which_the_run_
     np.testing.assert_allclose(times, [2e-3, 4e-3, 6e-3, 8e-3, 10e-3], atol=2e-5)
 
 
-def wants_contact(_):
-    gf.on_interval(1, print, wants=["contact"])
-
-
-MISTAKES = {
-    "print is not an observer: give granflow.on_interval": lambda s: s.observers.append(print),
-    "wants contains 'contact', but has parts of": wants_contact,
-    "function is 3, but must be a function of a snapshot": lambda _: gf.on_interval(1, 3),
-    "interval is 1 kg, but": lambda _: gf.on_interval("1 kg", print),
-    "count is 1.5, but must be a whole number": lambda s: s.step(1.5),
-    "count is -1, but must be a whole number": lambda s: s.step(-1),
-    "scene is a str; make a scene of it with granflow.load_scene": lambda _: gf.Simulation("hopper.yaml"),
-    "scene is a dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation({"a": 1}),
-}
-
-
-@pytest.mark.parametrize("message", MISTAKES)
-def test_mistakes_are_refused_where_they_are_made(message, taichi_f64):
-    with gf.Simulation(flying()) as simulation:
-        with pytest.raises(gf.GranflowError) as error:
-            MISTAKES[message](simulation)
-        assert message in str(error.value)
-
-
 def test_representations_of_a_simulation_name_its_parts(taichi_f64):
     with gf.Simulation(flying(), observers=[gf.on_interval("1 ms", fragile)]) as simulation:
         simulation.step(3)

@@ -100,14 +100,6 @@ def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
         assert len(list(csv.reader(file))) == 4
 
 
-@pytest.mark.parametrize(
-    "arguments", [{"until": float("nan")}, {"duration": -1.0}, {"until": 1.0, "duration": 1.0}]
-)
-def test_times_that_are_not_valid_are_refused(arguments, taichi_f64):
-    with gf.Simulation(falling()) as simulation, pytest.raises(gf.GranflowError, match="until|duration"):
-        simulation.run(**arguments)
-
-
 def test_stages_begin_after_the_previous_ones_have_ended(taichi_f64):
     """The end of a part of a run is reached to rounding, within the stage."""
     stages = [{"name": name, "duration": 1e-3} for name in ("first", "second")]

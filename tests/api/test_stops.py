@@ -187,11 +187,6 @@ def test_unknown_precision_and_architecture_are_refused_with_the_known_ones():
         gf.start("tpu")
 
 
-def test_problems_of_data_do_not_repeat_the_key():
-    assert gf.SceneError("run.time_step: run.time_step is 1 s.").problems == ("run.time_step is 1 s.",)
-    assert gf.SceneError("a.yaml:3:1: run.duration is 0.").problems == ("a.yaml:3:1: run.duration is 0.",)
-
-
 def test_a_run_is_unfinished_until_its_end_and_replaced_only_on_request(taichi_f64, tmp_path):
     with gf.Simulation(scene(), out=tmp_path) as simulation:
         simulation.run(until=0.001)

@@ -220,16 +220,6 @@ def in_precision(precision) -> Scene:
 
 
 QUICK = {
-    "poured": Row(
-        poured,
-        (
-            "outlet_count.side",
-            "wall_work",
-            "plastic_dissipation",
-            "friction_dissipation",
-            "rolling_dissipation",
-        ),
-    ),
     "walls": Row(
         moved_walls,
         (
@@ -246,7 +236,11 @@ QUICK = {
     "heat": Row(
         conducting,
         (
+            "outlet_count.side",
+            "wall_work",
+            "plastic_dissipation",
             "friction_dissipation",
+            "rolling_dissipation",
             "surroundings_heat",
             "source_heat",
             "heat_content_set",
@@ -258,6 +252,7 @@ QUICK = {
 """Scenes of the usual test run."""
 
 SLOW = {
+    "poured": Row(poured, ("outlet_count.side", "wall_work", "plastic_dissipation", "rolling_dissipation")),
     "disturbed": Row(lambda: complex_scene(0.009), ("wall_work",), disturb, on_ranks=False),
     "periodic": Row(periodic, ("contact_count",)),
     "sheared": Row(

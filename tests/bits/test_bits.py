@@ -126,9 +126,9 @@ def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
 
 OTHER_KERNELS = {
     "gpu": ["walls", "clumps", "films"],
-    "long": ["poured", "clumps"],
+    "long": ["heat", "clumps"],
     "forked": ["walls", "films"],
-    "ranks": ["poured", "heat"],
+    "ranks": ["heat"],
 }
 """Scenes of the usual test run by kind of execution that compiles other kernels."""
 

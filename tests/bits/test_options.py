@@ -41,11 +41,3 @@ def test_wear_does_not_change_the_motion(taichi_f64):
         assert worn.totals["wear_volume.low_z"] > 0.0
         for name in ("position", "velocity", "angular_velocity", "force"):
             np.testing.assert_array_equal(worn.particles[name], without.particles[name])
-
-
-def test_energy_budget_does_not_change_the_motion(taichi_f64):
-    without, _ = run_to_end(bed())
-    with_budget, _ = run_to_end(bed(output={"interval": 1.0, "energy_budget": True}))
-    assert "energy_error" in with_budget.totals
-    for name in ("position", "velocity", "angular_velocity"):
-        np.testing.assert_array_equal(with_budget.particles[name], without.particles[name])

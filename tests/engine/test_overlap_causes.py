@@ -140,20 +140,6 @@ def test_impact_above_the_planned_velocity_advises_modulus_and_velocity(taichi_f
     simulation.free()
 
 
-@pytest.mark.slow
-def test_forecast_of_the_weight_is_close_to_the_largest_overlap_of_a_bed(taichi_f64):
-    """The forecast is an upper bound that is at most twice the largest overlap of a settled bed.
-
-    The walls carry a part of the weight, and the largest of several hundred forces scatters by 30 %.
-    """
-    simulation = Simulation(bed(1e5, count=300, duration=0.6, max_overlap=0.8))
-    expected = next(each.overlap for each in simulation.plan.forecasts if each.cause == "weight")
-    simulation.run()
-    found = simulation.snapshot().totals["overlap_largest"]
-    simulation.free()
-    assert 0.8 < expected / found < 2.0
-
-
 @pytest.mark.parametrize(
     ("weight", "cause"),
     [(10.0, "other particles or a moving wall press on it"), (1e4, "a static load, such as")],

@@ -1,4 +1,4 @@
-"""What ranks exchange: 1 to 4 ranks, an uneven bed, arrays that grow. `bits` compares the features on 2 ranks."""
+"""What ranks exchange: 1 to 4 ranks, arrays that grow. `bits` compares the features on 2 ranks."""
 
 from pathlib import Path
 
@@ -28,16 +28,15 @@ def state_of(folder, scene, ranks=0, kind="ranks"):
 def assert_same_bits(expected, found):
     """Assert that a run on ranks has the arrays of one without MPI.
 
-    Returns the numbers of particles that each rank has sent to each rank after the first rebuild, the number
-    of reallocations, and the number of particles of each rank at the end.
+    Returns the numbers of particles that each rank has sent to each rank after the first rebuild, and the
+    number of reallocations.
     """
     migrations = found.pop("migrations")
     growths = found.pop("growths")
-    owned = found.pop("owned")
     assert found.keys() == expected.keys()
     different = [name for name, values in expected.items() if not np.array_equal(values, found[name])]
     assert not different
-    return migrations, growths, owned
+    return migrations, growths
 
 
 @pytest.mark.slow
@@ -47,22 +46,15 @@ def test_any_number_of_ranks_gives_the_same_bits_over_3000_steps(tmp_path):
     assert expected["rebuilds"] >= 10
     assert len(expected["history.pairs"].T) > 10
     for ranks in (1, 2, 3, 4):
-        migrations, _, _ = assert_same_bits(expected, state_of(tmp_path, "long", ranks))
+        migrations, _ = assert_same_bits(expected, state_of(tmp_path, "long", ranks))
         if ranks > 1:
             assert (migrations.sum(axis=0) > 0).all(), "each rank receives particles"
             assert (migrations.sum(axis=1) > 0).all(), "each rank sends particles"
 
 
 @pytest.mark.slow
-def test_ranks_with_more_contacts_have_fewer_particles(tmp_path):
-    _, _, owned = assert_same_bits(state_of(tmp_path, "uneven"), state_of(tmp_path, "uneven", 2))
-    assert owned.sum() == 250
-    assert owned.min() < 110
-
-
-@pytest.mark.slow
 def test_arrays_grow_on_all_ranks(tmp_path):
-    _, growths, _ = assert_same_bits(
+    _, growths = assert_same_bits(
         state_of(tmp_path, "long_lists"), state_of(tmp_path, "long_lists", 3, "small")
     )
     assert growths >= 2, "for particles and for neighbor lists"

@@ -119,9 +119,7 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
 
 
 @pytest.mark.parametrize(("law", "restitution", "fraction", "largest"), [
-    ("zhou", 0.5, 0.05, 0.25), ("zhou", 0.95, 0.05, 0.25), ("zhou", 0.95, 0.2, 0.32),
-    ("zhou", 0.8, 0.3, 0.8), ("hertz", 0.5, 0.05, 0.26), ("hertz", 0.5, 0.1, 1.1),
-    ("hertz", 0.8, 0.05, 0.25), ("hertz", 0.8, 0.2, 1.7),
+    ("zhou", 0.5, 0.05, 0.25), ("zhou", 0.8, 0.3, 0.8), ("hertz", 0.5, 0.1, 1.1), ("hertz", 0.8, 0.2, 1.7),
     ({"law": "linear", "stiffness": "onset"}, 0.8, 0.05, 0.25)
 ])  # fmt: skip
 def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitution, fraction, largest):

@@ -1,7 +1,6 @@
 """tools/bench.py: generated beds, logs of other codes, ratios, byte and operation counts, messages."""
 
 import importlib
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,28 +18,6 @@ def three_particle_bed():
     """Three particles in a box of 10 mm x 20 mm; the first overlaps the wall at x = 10 mm by 0.1 mm."""
     position = np.array([[9.1, 5.0, 1.0], [4.0, 5.0, 1.0], [4.0, 15.0, 1.2]]) * 1e-3
     return module("cases").Case("bed 3", "bed", np.array([2.0, 2.0, 2.4]) * 1e-3, position, (0.010, 0.020))
-
-
-def test_tiling_appends_the_mirror_image():
-    bed = three_particle_bed()
-    two = module("cases").tiled(bed, 6)
-    assert two.sides == (0.020, 0.020) and two.count == 6
-    # Mirror image at x = 10 mm: 9.1 mm -> 10.9 mm. The wall overlap of 0.1 mm becomes a particle overlap of
-    # 0.2 mm.
-    np.testing.assert_allclose(two.position[3], [0.0109, 0.005, 0.001], rtol=1e-12)
-    gap = np.linalg.norm(two.position[0] - two.position[3]) - 0.5 * (two.diameter[0] + two.diameter[3])
-    assert gap == pytest.approx(-2e-4, rel=1e-9)
-
-
-def test_written_data_file_is_read_exactly(tmp_path):
-    cases = module("cases")
-    bed = three_particle_bed()
-    cases.write_data(bed, tmp_path / "bed3.data")
-    read = cases.read_data(tmp_path / "bed3.data")
-    np.testing.assert_allclose(read.position, bed.position, rtol=1e-11)
-    np.testing.assert_allclose(read.diameter, bed.diameter, rtol=1e-11)
-    assert read.sides == bed.sides
-    assert cases.find_beds(tmp_path) == {3: tmp_path / "bed3.data"}
 
 
 def test_lammps_damping_gives_the_restitution():
@@ -135,20 +112,6 @@ def test_ratios_are_computed_within_a_round():
     ratio = tables.ratio(result, lammps)
     assert (ratio.middle, ratio.low, ratio.high) == (2.0, 2.0, 2.0)
     assert "2.00 (2.00-2.00)" in tables.text(result)
-
-
-def test_page_contains_the_measurements(tmp_path, monkeypatch):
-    page = module("page")
-    machine = module("machine")
-    monkeypatch.setattr(page, "PAGE", tmp_path / "README.md")
-    monkeypatch.setattr(page, "FIGURE", tmp_path / "scaling.svg")
-    result = {"kind": "peers", "machine": machine.machine(), "notes": ["yade is skipped."]}
-    result["points"] = points(granflow_hertz=[40e6], granflow_zhou=[32e6], lammps_hertz=[20e6])
-    (tmp_path / "one.json").write_text(json.dumps(result))
-    text = page.write(tmp_path, "").read_text()
-    assert "| bed 10 | 1 | lammps | 20.00 (20.00-20.00) | 2.00 (2.00-2.00) |" in text
-    assert "| bed 10 | 1 | granflow zhou | 32.00 (32.00-32.00) | 1.25 (1.25-1.25) |" in text
-    assert "- yade is skipped." in text and "(results/one.json)" in text
 
 
 def test_the_guide_contains_the_newest_measurements_on_ranks(tmp_path):

@@ -3,13 +3,10 @@
 import argparse
 import importlib.util
 import json
-import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from subprocess_runner import in_subprocess
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
@@ -85,36 +82,3 @@ def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
     found = json.loads(run.options.out.read_text())
     assert found["finished"] and [each["passed"] for each in found["checks"]] == [False, *[True] * 5]
     assert "collisions did not run" in capsys.readouterr().out
-
-
-def measured_in_subprocess(tools, path):
-    sys.path.insert(0, tools)
-    from benchmark import phases
-    from gpu_checks import device, speed
-
-    os.environ[phases.PROFILER] = "1"
-    found = speed.measure("cpu", "mixed", path, 4, 0.05)
-    return found | {
-        "gpu_kernels": device._gpu_bandwidth(1 << 16)
-    }  # kernels for the GPU must compile on the CPU
-
-
-@pytest.mark.slow
-def test_speed_measurement_of_four_particles(tmp_path):
-    """Four particles above the floor, two of which overlap by 0.1 mm; with the profiler of kernels."""
-    position = np.array([[2.0, 2.0, 9.0], [5.9, 2.0, 9.0], [12.0, 2.0, 9.0], [2.0, 12.0, 9.0]]) * 1e-3
-    case = module("benchmark.cases").Case("bed 4", "bed", np.full(4, 4e-3), position, (0.02, 0.02))
-    case.save(tmp_path / "bed.npz")
-    found = in_subprocess(measured_in_subprocess, str(TOOLS), str(tmp_path / "bed.npz"))
-    assert found["count"] == 4 and found["steps"] % 64 == 0
-    assert min(found["gpu_kernels"].values()) > 0.0
-    assert any(
-        name.startswith("step_on_cpu") and seconds > 0.0 for name, seconds in found["kernels"]["step"].items()
-    )
-    assert any(name.startswith("rebuild_on_cpu") for name in found["kernels"]["search"])
-    # particle-steps per second, and the resulting share of the bandwidth
-    assert found["rate"] == pytest.approx(4 * found["steps"] / found["seconds"])
-    share = found["bytes_per_particle_step"] * found["rate"] / found["copy_bandwidth"]
-    assert found["bandwidth_share"] == pytest.approx(share)
-    # Mixed, with friction: at least x in f64 and v, w, F, M in f32, read once.
-    assert found["bytes_per_particle_step"] > 3 * 8 + 4 * 3 * 4

@@ -49,17 +49,3 @@ def test_each_expectation_of_a_shipped_scene_has_a_row():
             assert matching_rows, (name, expectation.quantity)
     stored = table.json.loads(table.RESULTS.read_text(encoding="utf-8"))
     assert set(stored) <= set(table.names())
-
-
-def test_changed_number_changes_the_page(monkeypatch, tmp_path):
-    table = module("scene_table")
-    results = tmp_path / "results.json"
-    results.write_text(
-        '{"mixer": {"date": "2030-01-01", "commit": "abc", "numbers": {"energy_error": 0.00123}}}'
-    )
-    monkeypatch.setattr(table, "RESULTS", results)
-    page = table.PAGE.read_text(encoding="utf-8")
-    (row,) = [
-        line for line in table.written(page).splitlines() if line.startswith("| `mixer` | `energy_error`")
-    ]
-    assert row.endswith("| 0.00123 | 2030-01-01, abc |")

@@ -14,7 +14,6 @@ from validation.peers import (
     case,
     compare,
     drum,
-    impact,
     programs,
     shaken,
     silo,
@@ -118,18 +117,6 @@ def test_figures_of_the_shaken_box():
     np.testing.assert_allclose(shaken.figures(in_phase)["power of the walls [W]"], 0.0, atol=1e-3 * power)
 
 
-def test_figures_of_the_silo():
-    frames = flying((silo.OPENING, *silo.FLOW_TIMES))
-    first, last = silo.FLOW_TIMES
-    below = replace(
-        frames[last], position=frames[last].position - [0, 0, 1.0] * (np.arange(100) < 40)[:, None]
-    )
-    found = silo.SILO.figures({**frames, last: below})
-    mass = DENSITY * math.pi / 6.0 * 4e-3**3
-    assert found["mass flow rate [kg/s]"] == pytest.approx(40 * mass / (last - first))
-    assert found["height of the center of mass at the opening [m]"] == pytest.approx(0.05)
-
-
 @pytest.mark.parametrize(("particles", "flow"), [(360, "pass"), (432, "fail")])
 def test_the_quick_discharge_fails_if_a_fifth_more_particles_flow_out(monkeypatch, particles, flow):
     """The stored flow of LIGGGHTS, 0.0753 kg/s, is that of 360 particles of 4 mm in 0.4 s."""
@@ -140,23 +127,6 @@ def test_the_quick_discharge_fails_if_a_fifth_more_particles_flow_out(monkeypatc
     monkeypatch.setattr(compare, "our_frames", lambda each, repeat: frames)
     statuses = {each.name: each.status for each in validation.QUICK["discharge of a silo"]()}
     assert statuses["LIGGGHTS: mass flow rate"] == flow
-
-
-def test_figures_of_the_impact():
-    """The sphere is 10 mm deep at its lowest point in a bed of 60 mm whose center of mass is at half its
-    height."""
-    times = np.round(impact.IMPACT.times, 6)
-    lowest = 0.05 + 0.5 * impact.DIAMETER
-    frames = {
-        time: Particles(
-            np.array([[0, 0, 0.02], [0, 0, 0.04], [0, 0, lowest + 100.0 * (time - 0.3) ** 2]]), np.zeros((3, 3)),
-            np.array([4e-3, 4e-3, impact.DIAMETER]),
-        )
-        for time in times
-    }  # fmt: skip
-    found = impact.figures(frames)
-    assert found["height of the bed before the impact [m]"] == pytest.approx(0.06)
-    assert found["largest depth of penetration [m]"] == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
