@@ -1,9 +1,10 @@
 """Runs a scene of `rank_scenes` and writes its last state as npz: alone, or on the ranks of mpirun.
 
-python rank_runs.py SCENE FILE alone|ranks|small|failing|failing_root|failing_start
+python rank_runs.py SCENE FILE alone|ranks|small|failing|failing_root|failing_start|refused
 
 small: with arrays that must grow; failing: with a fault in all ranks but the root; failing_root: in the root;
-failing_start: at the start of all ranks but the root
+failing_start: at the start of all ranks but the root; refused: an error of the root outside of a command, while
+the files of its run in the folder FILE are open
 """
 
 import sys
@@ -53,6 +54,10 @@ def main(name, path, kind):
     rank_engine.RankEngine = engine = faulty_engine(kind) if kind.startswith("failing") else ObservedEngine
     if communicator.is_root:
         with controlling(communicator):
+            if kind == "refused":
+                simulation = Simulation(scene, threads=1, out=path, communicator=communicator)
+                simulation.step(10)
+                simulation.particles.velocity = 0.0
             save(path, Simulation(scene, threads=1, communicator=communicator))
     else:
         serve(

@@ -123,7 +123,7 @@ def register_metric(metric: type[metrics.Metric]) -> None:
     program that resumes a run. Scenes that exist are not affected.
 
         class Height(Metric):
-            kind: Literal["height"] = Field("height", description="kind of metric")
+            kind: Literal["elevation"] = Field("elevation", description="kind of metric")
             quantities = (Quantity("mean_height", "z", "m", "mean height of the particles"),)
 
             def measure(self, snapshot, scene):

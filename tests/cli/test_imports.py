@@ -1,10 +1,14 @@
-"""Verbs that do not simulate import neither Taichi nor large libraries, which would delay each of them."""
+"""The start of commands: verbs that do not simulate import neither Taichi nor large libraries, and no garbage is
+collected."""
 
+import gc
 import json
 import subprocess
 import sys
 
 import pytest
+
+from granflow.cli.process import quick_start
 
 HEAVY = {
     "taichi", "scipy", "meshio", "rich", "jinja2", "pandas", "matplotlib", "pyvista", "psutil", "platformdirs",
@@ -63,3 +67,15 @@ def test_simulation_imports_no_table_or_mesh_library(imported):
     packages = imported[2][1]
     assert "taichi" in packages
     assert not packages & {"scipy", "meshio", "jinja2", "pandas", "matplotlib", "pyvista"}
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_garbage_collection_pauses_in_the_block(enabled):
+    try:
+        (gc.enable if enabled else gc.disable)()
+        with pytest.raises(KeyError), quick_start():
+            assert not gc.isenabled()
+            raise KeyError
+        assert gc.isenabled() == enabled
+    finally:
+        gc.enable()

@@ -43,13 +43,6 @@ SCENES = {
 }  # fmt: skip
 
 
-def test_valid_run_has_no_diagnosis(taichi_f64):
-    with Simulation(among_valid(particle_group([[0.0, 0.0, 0.0]]))) as simulation:
-        simulation.run()
-        assert simulation.engine.diagnosis is None
-        assert np.isfinite(simulation.snapshot().particles["position"]).all()
-
-
 @pytest.mark.parametrize("reason", SCENES)
 def test_abort_reports_particle_and_time_and_writes_a_frame(taichi_f64, tmp_path, reason):
     def inject_nan(snapshot):

@@ -15,7 +15,7 @@ from scene_builders import (
 )
 from scipy.spatial import cKDTree
 
-from granflow.errors import RunError
+from granflow.engine.host import HistoryTable, append_particles, copy_to_host
 from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
 
@@ -130,14 +130,6 @@ def test_particles_outside_the_domain_are_deleted_and_counted_and_the_others_kee
     assert last.totals["deleted_mass"] == pytest.approx(first.particles["mass"][left].sum(), rel=1e-14)
 
 
-def test_particle_outside_the_domain_aborts_the_run_if_on_exit_is_error(taichi_f64):
-    """The position of the particle is in the message; that of a fast one in `test_limits`."""
-    with pytest.raises(
-        RunError, match="particle [0-9]+ at 0.0[0-9]+ s is outside the domain, and domain.on_exit is error"
-    ):
-        run_and_sample(open_scene("error"), 0.05)
-
-
 def test_expanding_domain_keeps_all_particles(taichi_f64):
     """Particles outside move by x = x0 + v t, and two of them collide as in a domain that is large enough."""
     groups = {
@@ -204,4 +196,24 @@ def test_size_classes_find_all_candidate_pairs(taichi_f64, periodic):
     pairs = [(i, j) for i, j in np.argwhere(near).tolist() if i < j]
     assert len(pairs) > 200
     assert_lists_hold(simulation, pairs)
+    simulation.free()
+
+
+def test_inserted_particle_has_no_contacts_of_a_deleted_one(taichi_f64):
+    """A new particle that takes the array entry of a deleted one finds its neighbor list; it has no
+    contacts."""
+    positions = 0.0098 * np.argwhere(np.ones((2, 2, 2)))
+    simulation = prepared_simulation(
+        build_scene({"balls": particle_group(positions)}, numerics={"chunk_size": 1})
+    )
+    state = simulation.engine.state
+    histories = HistoryTable(state)
+    assert histories.read(np.arange(8), 8).count.tolist() == [3] * 8
+    new = {
+        name: values[-1:]
+        for name, values in copy_to_host(state, ("id", "position", "radius", "mass")).items()
+    }
+    state.count = 7
+    append_particles(state, new)
+    assert histories.listed(np.arange(8), 8).count[-1] == 0
     simulation.free()

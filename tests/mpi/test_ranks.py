@@ -154,6 +154,15 @@ def test_an_exception_in_one_rank_ends_all(session, tmp_path, fault, rank):
     assert stored and {path.name for path in cache.glob(CACHED_KERNELS)} == stored
 
 
+def test_an_error_of_the_root_outside_of_a_command_ends_the_program(session, tmp_path):
+    """Although the files of its run are still open."""
+    cache = {CACHE_VARIABLE: str(session[0] / "cache")}
+    done = on_ranks(2, PROGRAM, "pair", tmp_path / "out", "refused", seconds=120, **cache)
+    assert done.returncode != 0
+    assert "Changes from Python do not work on MPI ranks" in done.stderr
+    assert "The other ranks have ended" in done.stderr
+
+
 def test_a_scene_that_one_rank_cannot_read_ends_all(session):
     (session[0] / "1" / "own.yaml").unlink()
     chdir = "import os, sys; from mpi4py import MPI; os.chdir(sys.argv.pop(1) + str(MPI.COMM_WORLD.rank));"

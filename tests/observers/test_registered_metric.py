@@ -19,7 +19,7 @@ from granflow.schema.faults import Fault
 class Height(Metric):
     """Heights of the particles above a level."""
 
-    kind: Literal["height"] = Field("height", description="kind of metric")
+    kind: Literal["elevation"] = Field("elevation", description="kind of metric")
     level: float = Field(0.0, description="level [m]", examples=[0.25])
     quantities = (
         Quantity("mean_height", "z", "m", "mean height of the particles above a level"),
@@ -61,7 +61,7 @@ def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taic
     """Free fall from the mean height 0.15 m: z = 0.15 m - g t^2 / 2, which velocity Verlet integrates
     exactly."""
     scene = falling_beads(
-        {"fall": {"kind": "height", "level": 0.15}, "heap": {"kind": "repose", "surface": "cone"}},
+        {"fall": {"kind": "elevation", "level": 0.15}, "heap": {"kind": "repose", "surface": "cone"}},
         [{"quantity": "mean_height.fall", "between": [-0.000501, -0.000499]}],
     )
     with gf.Simulation(scene, out=tmp_path / "out", threads=2) as simulation:
@@ -87,18 +87,18 @@ def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taic
 
 def test_checks_of_a_registered_metric_are_those_of_built_in_ones(registered):
     with pytest.raises(gf.SceneError, match="output.metrics.fall.level is -1.0, but it is below the domain"):
-        falling_beads({"fall": {"kind": "height", "level": -1.0}})
+        falling_beads({"fall": {"kind": "elevation", "level": -1.0}})
     with pytest.raises(
         gf.SceneError, match="output.metrics.fall.levels is not a known key. Did you mean level?"
     ):
-        falling_beads({"fall": {"kind": "height", "levels": 1.0}})
+        falling_beads({"fall": {"kind": "elevation", "levels": 1.0}})
     with pytest.raises(gf.SceneError, match="its quantities are mean_height.fall, share_above.fall"):
-        falling_beads({"fall": {"kind": "height"}}, [{"quantity": "lacey_index.fall", "below": 1.0}])
+        falling_beads({"fall": {"kind": "elevation"}}, [{"quantity": "lacey_index.fall", "below": 1.0}])
 
 
 def test_a_metric_that_is_not_registered_is_unknown():
-    with pytest.raises(gf.SceneError, match="output.metrics.fall.kind is height, but "):
-        falling_beads({"fall": {"kind": "height"}})
+    with pytest.raises(gf.SceneError, match="output.metrics.fall.kind is elevation, but "):
+        falling_beads({"fall": {"kind": "elevation"}})
     assert Height not in METRICS
 
 
@@ -131,7 +131,7 @@ def test_invalid_metrics_are_refused(metric, message):
 def test_a_metric_that_fails_is_named_and_the_state_is_saved(
     registered, monkeypatch, tmp_path, taichi_f64, reading, message
 ):
-    scene = falling_beads({"fall": {"kind": "height"}})
+    scene = falling_beads({"fall": {"kind": "elevation"}})
     usual = Height.measure
     monkeypatch.setattr(
         Height,

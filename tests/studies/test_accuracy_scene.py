@@ -15,7 +15,6 @@ from granflow.studies.accuracy.scene import (
     ENERGY_ERROR,
     SAMPLES,
     SIGMAS,
-    STEP_FAMILIES,
     KeptRuns,
     RunOutcome,
     SceneTask,
@@ -23,7 +22,6 @@ from granflow.studies.accuracy.scene import (
     _study,
     measure_scene,
     noise_sentence,
-    phase_of,
     reduced_counts,
     run_task,
     scene_heads,
@@ -69,14 +67,6 @@ def test_reduction_applies_to_groups_with_a_count(drop):
     assert reduced_counts(scene, most=12) == []
     assert reduced_counts(scene, most=6) == ["particles.beads.count=6"]
     assert reduced_counts(load_scene(SCENES / "two_spheres.yaml"), most=1) == []
-
-
-def test_the_share_is_time_step_fraction(drop):
-    scene = load_scene(drop, ["numerics.time_step_fraction=0.07"])
-    phase, own = phase_of(scene)
-    assert own == pytest.approx(0.07)
-    (override,) = STEP_FAMILIES[0].overrides(0.2, phase)
-    assert phase_of(load_scene(drop, [override]))[1] == pytest.approx(0.2)
 
 
 def test_center_of_mass_of_free_fall_matches_theory(taichi_f64, drop):

@@ -1,11 +1,15 @@
-"""Figures of the paper in reduced form: simulated collisions against theory solved by scipy without
-granflow."""
+"""Figures of the paper in reduced form: simulated collisions against theory solved by scipy without granflow;
+`granflow paper` on the command line."""
+
+import re
+import sys
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
+from granflow.cli.main import main
 from granflow.studies.paper import figures
 from granflow.studies.paper.figures import PAPER_CASES, thornton_restitution
 
@@ -149,3 +153,27 @@ def test_thornton_restitution_follows_from_the_energies(ratio):
     rebound = (force / np.sqrt(flattened)) ** (2.0 / 3.0)
     expected = np.sqrt(0.4 * force * rebound / energy)
     assert thornton_restitution(np.array([ratio]), 1.0)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_missing_matplotlib_is_reported_with_the_install_command(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["paper", "--out", str(tmp_path / "paper")]) == 2
+    message = capsys.readouterr().err
+    assert "pip install matplotlib" in message and "Traceback" not in message
+    assert not (tmp_path / "paper").exists()
+
+
+@pytest.mark.slow
+def test_page_contains_every_figure(taichi_f64, tmp_path):
+    pytest.importorskip("matplotlib")
+    from granflow.studies.paper import report
+
+    page = report.write_paper(tmp_path)
+    figures = sorted(path.stem for path in tmp_path.glob("*.png"))
+    assert figures == sorted(path.stem for path in tmp_path.glob("*.csv"))
+    assert len(figures) == 9
+    html = page.read_text(encoding="utf-8")
+    assert html.count("data:image/png;base64,") == len(figures)
+    sources = re.findall(r'(?:src|href)="([^"]*)"', html)
+    assert not [source for source in sources if source.startswith(("http", "//"))]
+    assert "not compared" not in html

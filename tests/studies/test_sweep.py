@@ -21,11 +21,9 @@ from granflow.studies.run_process import (
     CRASHED,
     DONE,
     MISSED,
-    REFUSED,
     Outcome,
     RunRequest,
     final_outcome,
-    write_outcome,
 )
 from granflow.studies.sweep import checked_points, read_sweep
 from granflow.studies.sweep_design import (
@@ -222,16 +220,6 @@ def test_more_runs_than_cores_are_refused():
     assert local_jobs(None, 2, 5) == 2
 
 
-def test_points_are_checked_and_hashed_by_their_resolved_scene(tmp_path):
-    points = checked_points(read_sweep(write_sweep(tmp_path)), settings(tmp_path))
-    runs = [run for _, each in points for run in each]
-    refused = [run for run in runs if isinstance(run, str)]
-    assert len(runs) == 12 and len(refused) == 4
-    assert refused[0].startswith(f"{tmp_path}/sweep.yaml:3:3: pairs.steel-steel.restitution is 1.2")
-    valid = [run for run in runs if isinstance(run, CheckedRun)]
-    assert len({run.directory for run in valid}) == 8
-
-
 class Instant:
     """An executor that answers each request from a list of outcomes by directory name; records the
     requests."""
@@ -277,19 +265,6 @@ def test_lost_runs_are_retried_twice_and_aborted_runs_never(tmp_path):
     }  # fmt: skip
     assert found["b"].reason == "The process was ended by SIGKILL. Attempts: 3."
     assert [names(executor).count(name) for name in "abcde"] == [3, 3, 1, 2, 1]
-
-
-def test_ended_runs_are_not_repeated(tmp_path):
-    done, aborted, refused = (run(tmp_path, name) for name in ("done", "aborted", "refused"))
-    result = {"expect": [{"sentence": "x is 1, but should be 2.", "met": False}], "run": {"wall_clock": 2.5}}
-    (done.directory / "result.json").write_text(json.dumps(result))
-    write_outcome(aborted.directory, Outcome(ABORTED, "overlap", 3.0))
-    write_outcome(refused.directory, Outcome(REFUSED, "no memory", 3.0))
-    executor = Instant({})
-    found = drive(executor, [done, aborted, refused])
-    assert names(executor) == ["refused"]
-    assert found["done"] == Outcome(MISSED, "x is 1, but should be 2.", 2.5)
-    assert found["aborted"] == final_outcome(aborted.directory) == Outcome(ABORTED, "overlap", 3.0)
 
 
 def ended(folder, name, **result):

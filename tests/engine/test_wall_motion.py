@@ -1,9 +1,11 @@
-"""Contacts use the velocity of a moving wall in the middle of the step."""
+"""Moving walls: their velocity in the middle of the step, and poses that stay on the device."""
 
 import numpy as np
 import pytest
 from scene_builders import SOFT, box, build_scene, particle_group, plane, run_to_end
 from scipy.spatial.transform import Rotation
+
+from granflow.simulation import Simulation
 
 RADIUS, OVERLAP = 0.005, 1e-4
 AMPLITUDE, OMEGA, STEP, COUNT = 1e-5, 5e4, 1e-6, 31
@@ -65,3 +67,26 @@ def test_walls_carried_by_two_rotations_close_the_energy_budget(taichi_f64):
     assert found.min() >= nearest and found.max() <= side - nearest and nearest > 0.9 * RADIUS
     assert last.totals["wall_work"] > 0.5 * last.totals["kinetic_energy"] > 0.0
     assert abs(last.totals["energy_error"]) < 1e-3
+
+
+MOTION = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-4, "frequency": 200.0}
+
+
+def test_snapshot_at_any_pose_of_the_batch_is_bit_identical(taichi_f64):
+    """A snapshot with the poses on the device equals one after a new upload, whose first pose is the present
+    one."""
+    scene = build_scene(
+        {"ball": particle_group([0.0, 0.0, 0.00499])}, {"floor": plane([0, 0, 0], [0, 0, 1], motion=MOTION)},
+        run={"duration": 1.0, "time_step": 1e-6, "velocity_max": 1.0}, output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    for steps in (1, 99, 155, 1):
+        simulation.step(steps)
+        found = simulation.snapshot(contacts=True)
+        simulation.engine.stepper.poses.discard()
+        again = simulation.snapshot(contacts=True)
+        assert len(found.contacts["overlap"]) == 1
+        assert found.totals == again.totals
+        for name, values in found.contacts.items():
+            np.testing.assert_array_equal(values, again.contacts[name], err_msg=name)
+    simulation.free()
