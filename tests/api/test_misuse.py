@@ -80,6 +80,8 @@ WRONG = {
     "count is nan, but must be a whole number": lambda s: s.step(float("nan")),
     "count is -1, but must be a whole number": lambda s: s.step(-1),
     "until is nan s, but must be finite": lambda s: s.run(until=float("nan")),
+    "until is -1 s, but the simulation is at": lambda s: s.run(until=-1.0),
+    "save needs an output directory": lambda s: s.save(),
     "duration is -1": lambda s: s.run(duration=-1.0),
     "run takes until or duration, not both": lambda s: s.run(until=1.0, duration=1.0),
     "until is [1], but must be a number [s] or text with a unit": lambda s: s.run(until=[1]),

@@ -128,31 +128,6 @@ def test_is_stopped_says_whether_an_observer_ended_the_last_call(taichi_f64):
         assert not simulation.is_stopped
 
 
-def test_arguments_that_cannot_be_meant_are_refused(taichi_f64):
-    with gf.Simulation(scene()) as simulation:
-        simulation.run(until=0.001)
-        simulation.run(until=simulation.time)
-        with pytest.raises(
-            gf.GranflowError, match=r"until is 0.0005 s, but the simulation is at 0.0010\d+ s"
-        ):
-            simulation.run(until=0.0005)
-        with pytest.raises(
-            gf.GranflowError, match="request_stop takes an exception, such as KeyboardInterrupt"
-        ):
-            simulation.request_stop("stop")
-        with pytest.raises(gf.GranflowError, match="save needs an output directory"):
-            simulation.save()
-        simulation.walls["floor"].remove()
-        with pytest.raises(
-            gf.GranflowError, match=r"walls\['floor'\] was removed at 0.0010\d+ s: it cannot move"
-        ):
-            simulation.walls["floor"].motion = gf.Translation(velocity=[0, 0, 1])
-        with pytest.raises(
-            gf.GranflowError, match=r"position has the shape \(3, 5\), .* its transpose, position.T"
-        ):
-            simulation.particles.add(position=np.zeros((3, 5)))
-
-
 def test_a_material_of_several_groups_does_not_choose_one(taichi_f64):
     groups = {name: particle_group([[x, 0.0, 0.01]]) for name, x in (("left", 0.0), ("right", 0.02))}
     with gf.Simulation(beads(groups=groups)) as simulation:

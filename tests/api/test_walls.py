@@ -32,6 +32,10 @@ def test_particle_falls_after_its_wall_is_removed(taichi_f64):
         speed = simulation.particles.velocity[0, 2]
         simulation.walls["floor"].remove()
         assert not simulation.walls["floor"].is_present and simulation.walls["side"].is_present
+        with pytest.raises(
+            gf.GranflowError, match=r"walls\['floor'\] was removed at 0.01\d* s: it cannot move"
+        ):
+            simulation.walls["floor"].motion = gf.Translation(velocity=[0, 0, 1])
         simulation.run(duration=0.02)
         fallen = height + speed * 0.02 - 0.5 * GRAVITY * 0.02**2
         assert simulation.particles.position[0, 2] == pytest.approx(fallen, abs=1e-5)

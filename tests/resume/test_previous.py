@@ -150,14 +150,6 @@ def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
     assert b"old" not in contents(out).values() and (out / "notes.txt").exists()
 
 
-def test_start_from_in_the_output_directory_is_rejected(tmp_path):
-    scene = balls(start_from=str(tmp_path))
-    write(tmp_path, OLD)
-    with pytest.raises(GranflowError, match="start_from is .*, which is in the output directory"):
-        Simulation(scene, out=tmp_path)
-    assert contents(tmp_path) == as_bytes(OLD)
-
-
 # ---------------------------------------------------------------- resume
 
 

@@ -129,16 +129,6 @@ def test_page_of_an_interrupted_run_states_reason_and_time(run):
     )
 
 
-def test_directories_without_a_run_are_rejected(tmp_path, capsys):
-    assert main(["report", str(tmp_path)]) == 2
-    assert "is not the directory of a run" in capsys.readouterr().err
-    assert main(["report", str(tmp_path / "none")]) == 2
-    assert "there is no such directory" in capsys.readouterr().err
-    (tmp_path / "result.json").write_text("{")
-    assert main(["report", str(tmp_path)]) == 2
-    assert "result.json cannot be read" in capsys.readouterr().err
-
-
 def test_page_without_plotly_states_the_missing_package(run, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     assert main(["report", str(run)]) == 0
