@@ -116,6 +116,10 @@ class FieldSpec(Quantity):
     default: float = 0.0
 
 
+def _attached(features: Any) -> bool:
+    return bool(features.attached_particles)
+
+
 def _rotation(features: Any) -> bool:
     return bool(features.rotation)
 
@@ -367,7 +371,7 @@ _PARTICLE_FIELDS = {
             "force",
             "F",
             "N",
-            "total force, gravity included",
+            "total force, gravity included; of particles that move with a wall, that of their contacts",
             "vector",
             dtype="real",
             block="force",
@@ -464,6 +468,42 @@ _PARTICLE_FIELDS = {
             file_type="uint8",
             dtype="i32",
             condition=lambda features: features.fixed_particles,
+        ),
+        FieldSpec(
+            "attached_to",
+            "",
+            "1",
+            "index in the scene of the wall with which a fixed particle moves, -1 for others; only in scenes "
+            "with such particles",
+            file_type="int32",
+            dtype="i32",
+            default=-1,
+            condition=_attached,
+        ),
+        FieldSpec(
+            "attached_position",
+            "",
+            "m",
+            "position of a particle that moves with a wall, in the frame of the wall at rest",
+            "vector",
+            "float64",
+            in_snapshot=False,
+            dtype="position",
+            block="attached",
+            displayed=False,
+            condition=_attached,
+        ),
+        FieldSpec(
+            "attached_normal",
+            "",
+            "1",
+            "normal toward the particle of the wall with which it moves, in the frame of the wall at rest",
+            "vector",
+            in_snapshot=False,
+            dtype="position",
+            block="attached",
+            displayed=False,
+            condition=_attached,
         ),
         FieldSpec(
             "coordination_number",

@@ -336,14 +336,18 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
-    """Particle outside a domain with `on_exit: error`."""
+    """Particle outside a domain with `on_exit: error`, or one that a wall has moved there."""
     where = plan.scene.where("domain", "on_exit")
+    reason = f"domain.on_exit is error ({where})"
+    remedy = "Close the gap in the walls, enlarge the domain, or set domain.on_exit to delete."
+    if plan.scene.domain.on_exit != "error":
+        reason = "it moves with a wall (particles.NAME.fixed), which cannot lose it"
+        remedy = "Enlarge the domain, or shorten the path of the wall."
     name, _, rest = str(diagnosis.body).partition(" (")
     x, y, z = diagnosis.body.position or (0.0, 0.0, 0.0)
     return (
-        f"{name} at {time:.6g} s is outside the domain, and domain.on_exit is error ({where}); "
-        f"it is at [{x:.4g}, {y:.4g}, {z:.4g}] m ({rest}. "
-        "Close the gap in the walls, enlarge the domain, or set domain.on_exit to delete."
+        f"{name} at {time:.6g} s is outside the domain, and {reason}; "
+        f"it is at [{x:.4g}, {y:.4g}, {z:.4g}] m ({rest}. {remedy}"
     )
 
 

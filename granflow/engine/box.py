@@ -202,7 +202,7 @@ class ParticleWrap:
     @ti.func
     def add_energy_gain(self, chunk, i, shift, velocity_shift, dt):
         """Add the energy gain of particle i by a shift [m] and a decrease of its velocity [m/s]."""
-        mass = ti.cast(self.particles.mass[i], ti.f64)
+        mass = ti.cast(self.particles.mobility(i) * self.particles.mass[i], ti.f64)
         gained = -mass * self.gravity().dot(ti.cast(shift, ti.f64))
         if ti.static(self.box.sheared):
             velocity_synchronous = ti.cast(

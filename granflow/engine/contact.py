@@ -259,8 +259,13 @@ class Accounting:
         """As `add_particle_contact`, with the work of the wall and the force on it."""
         if ti.static(self.features.energy_budget):
             self._add_losses(chunk, j, found)
-            if ti.static(self.features.moving_walls):
-                self._add_wall_work(chunk, i, j, pose, normal, found, dt)
+        self.add_wall_force(chunk, i, j, pose, normal, found, dt)
+
+    @ti.func
+    def add_wall_force(self, chunk, i, j, pose, normal, found, dt):
+        """Add the force [N] and torque [N m] of a wall on particle i to those of the wall, and their work."""
+        if ti.static(self.features.energy_budget and self.features.moving_walls):
+            self._add_wall_work(chunk, i, j, pose, normal, found, dt)
         if ti.static(self.features.force_controlled_walls):
             self.controlled_walls.add(chunk, self.wall_of(j), found.force)
         if ti.static(self.features.wall_forces):

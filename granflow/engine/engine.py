@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from granflow.engine.abort import Diagnosis, WallChange, diagnose
+from granflow.engine.attached import attached_velocities
 from granflow.engine.backend import Backend
 from granflow.engine.clumps import CLUMP_MOTION, synchronized_clumps
 from granflow.engine.contact import collision_counts
@@ -518,10 +519,12 @@ class Engine:
             ("radius", "angular_velocity", "torque") if has_clumps or "angular_velocity" in names else ()
         )
         clump_motion = CLUMP_MOTION if has_clumps else ()
-        needed = ("mass", "velocity", "force", "fixed", *rotation, *clump_motion)
+        attachment = ("attached_to", "position") if self.plan.features.attached_particles else ()
+        needed = ("mass", "velocity", "force", "fixed", *rotation, *clump_motion, *attachment)
         arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, *needed))))
         if not self._velocities_lag:
             return arrays
+        arrays |= attached_velocities(self.state, arrays)
         clumps = synchronized_clumps(arrays, 0.5 * self.time_step, self._gravity)
         half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]
         mass = arrays["mass"].astype(float)[:, None]

@@ -536,6 +536,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         "id": first_id + np.arange(count),
         "material": material[new.material],
         "fixed": fixed[new.group].astype(np.int32),
+        "attached_to": np.array(plan.attached_walls, np.int32)[new.group],
         "radius": new.radius,
         "mass": sphere_mass(new.radius, density[new.material]),
         "position": new.position,

@@ -10,10 +10,10 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
     velocity_synchronized = v(t + dt/2) + dt F(t) / (2 m)
 
 Walls with a prescribed motion take the next of the poses that the host has uploaded (`walls.py`);
-force-controlled walls move by the force that the particles exerted on them (`wall_dynamics.py`). Then the
-forces are summed: weight, wall contacts, particle contacts (`contact.py`, on a CPU `batch.py`), external
-forces and damping (`particle_forces.py`). All sums are exact (`sums.py`), so that their order does not
-matter.
+force-controlled walls move by the force that the particles exerted on them (`wall_dynamics.py`), and
+particles that are attached to a wall move with it (`attached.py`). Then the forces are summed: weight, wall
+contacts, particle contacts (`contact.py`, on a CPU `batch.py`), external forces and damping
+(`particle_forces.py`). All sums are exact (`sums.py`), so that their order does not matter.
 
 Consecutive particles form a chunk, on a GPU each particle is one. `integrate` and `forces` process one chunk
 and write to its particles only: a pair across two chunks is evaluated in both. Therefore chunks can be
@@ -40,6 +40,7 @@ costs more than the whole contact model and is not needed within a chunk.
 from collections.abc import Callable
 from typing import NamedTuple
 
+from granflow.engine.attached import AttachedParticles
 from granflow.engine.batch import BatchedContacts, ContactSums
 from granflow.engine.box import ParticleWrap
 from granflow.engine.clumps import ClumpMotion
@@ -80,9 +81,9 @@ class TimeStep:
     """The phases of a step: `integrate` for each chunk, `move_walls` once, `forces` for each chunk.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, force, torque, mass, radius, fixed,
-             clump, external_force, position_at_rebuild, reach, neighbor lists, history, in_contact, walls;
-             as `ClumpMotion`, `ForceControlledWalls`, `ParticleWrap`, `Contact`, `BatchedContacts`,
-             `ExternalForces`, `Damping` and `Flows`
+             attached_to, clump, external_force, position_at_rebuild, reach, neighbor lists, history,
+             in_contact, walls; as `AttachedParticles`, `ClumpMotion`, `ForceControlledWalls`,
+             `ParticleWrap`, `Contact`, `BatchedContacts`, `ExternalForces`, `Damping` and `Flows`
     Writes:  position, velocity, velocity_synchronized, angular_velocity, force, torque, rebuild_requested,
              abort, abort_particle; as these, `Accounting`, `WallImpulses`, `LiquidFilms` and
              `VelocitySum`
@@ -116,6 +117,9 @@ class TimeStep:
         # Walls
         self.force_controlled = features.force_controlled_walls
         self.controlled_walls = state.built(ForceControlledWalls)
+        self.attaches = features.attached_particles
+        self.attached = state.built(AttachedParticles) if self.attaches else None
+        self.moves_walls_first = self.attaches and self.force_controlled
         # Forces
         self.exact = holds_sums(state)
         self.batched = state.batch is not None
@@ -151,17 +155,18 @@ class TimeStep:
                 if self.particles.clump[i] >= 0:
                     displacement = self.clumps.move(chunk, i, pose, dt)
                 else:
-                    displacement = self._kick_and_drift(chunk, i, gravity, shift, dt)
+                    displacement = self._kick_and_drift(chunk, i, gravity, shift, pose, dt)
                 self._check_limits(i, displacement, limit_squared, per_unit)
             else:
-                displacement = self._kick_and_drift(chunk, i, gravity, shift, dt)
+                displacement = self._kick_and_drift(chunk, i, gravity, shift, pose, dt)
                 self._check_limits(i, displacement, limit_squared, per_unit)
             if ti.static(self.periodic):
                 self.particle_wrap.wrap(chunk, i, pose, dt)
 
     @ti.func
-    def _kick_and_drift(self, chunk, i, gravity, shift, dt):
-        """Kick and drift a sphere that is in no clump; returns its displacement [m]."""
+    def _kick_and_drift(self, chunk, i, gravity, shift, pose, dt):
+        """Kick and drift a sphere that is in no clump, or move it with its wall; returns its displacement
+        [m]."""
         if ti.static(self.features.liquid_transfer):
             self.films.save(i)
         if ti.static(self.has_flows):
@@ -176,13 +181,17 @@ class TimeStep:
         if ti.static(self.features.external_forces and self.features.energy_budget):
             self.external_forces.add_work(chunk, i, self.particles.external_force[i], velocity, dt)
         displacement = dt * velocity
-        self.particles.position[i] = self.particles.position[i] + displacement
+        before = self.particles.position[i]
+        self.particles.position[i] = before + displacement
         if ti.static(self.features.rotation):  # a sphere needs no orientation and no gyroscopic term
             inertia = sphere_inertia(mass, self.particles.radius[i])
             kick_of_rotation = self.particles.mobility(i) * dt / inertia * self.particles.torque[i]
             self.particles.angular_velocity[i] = self.rotation_sum.changed(i, kick_of_rotation)
         if ti.static(self.counts_damping):
             self.damping.add_loss(chunk, i, dt)
+        if ti.static(self.attaches):
+            if self.particles.attached_to[i] >= 0:
+                displacement = self.attached.move(i, before, pose, dt)
         return displacement
 
     @ti.func
@@ -241,7 +250,11 @@ class TimeStep:
 
     @ti.func
     def move_walls(self, chunks, pose, dt):
-        """Move the force-controlled walls by one step, on one thread."""
+        """Move the force-controlled walls by one step, on one thread.
+
+        It follows the integration, which does not read walls; it precedes that of particles that are attached
+        to walls.
+        """
         if ti.static(self.force_controlled):
             self.controlled_walls.move(chunks, pose, dt)
 
@@ -275,6 +288,10 @@ class TimeStep:
             for i in range(first, end):
                 force_sum, torque_sum = self.sums.load(worker, i, first)
                 self._set_forces(chunk, i, force_sum, torque_sum, gravity, dt)
+        if ti.static(self.attaches):
+            for i in range(first, end):
+                if self.particles.attached_to[i] >= 0:
+                    self.attached.add_to_wall(chunk, i, pose, dt)
         self.accounting.carry(chunk)
 
     @ti.func
@@ -296,6 +313,8 @@ class TimeStep:
             force_sum = self.to_grid(self.particles.mass[i] * gravity, self.shift()[UNIT_FORCE])
             if ti.static(self.features.clumps):  # the weight of a clump acts at its center of mass
                 force_sum *= ti.cast(self.particles.clump[i] < 0, ti.f64)
+            if ti.static(self.attaches):  # the wall carries the weight
+                force_sum *= ti.cast(self.particles.attached_to[i] < 0, ti.f64)
         if ti.static(self.has_walls):
             for pass_index in range(ti.static(len(CONTACT_ORDER) if self.transfers else 1)):
                 for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
@@ -333,13 +352,11 @@ class TimeStep:
         sums contain; with external forces and damping."""
         force = ti.cast(force_sum, self.real)
         torque = ti.cast(torque_sum, self.real)
-        if ti.static(self.features.clumps and not self.exact):
-            if self.particles.clump[i] < 0:  # the weight of a clump acts at its center of mass
-                force += self.particles.mass[i] * gravity
-        elif ti.static(not self.exact):
-            force += self.particles.mass[i] * gravity
-        if ti.static(self.features.external_forces):
-            force += self.external_forces.force(chunk, i, force, dt)
+        if ti.static(self.attaches):
+            if self.particles.attached_to[i] < 0:
+                force = self._with_body_forces(chunk, i, force, gravity, dt)
+        else:
+            force = self._with_body_forces(chunk, i, force, gravity, dt)
         if ti.static(self.features.damping != "none"):
             damping_force, damping_torque = self.damping.forces(chunk, i, force, torque, dt)
             force += damping_force
@@ -347,6 +364,19 @@ class TimeStep:
         self.particles.force[i] = force
         if ti.static(self.features.rotation):
             self.particles.torque[i] = torque
+
+    @ti.func
+    def _with_body_forces(self, chunk, i, force_sum, gravity, dt):
+        """The force with the weight, which sums in f64 contain, and external forces."""
+        force = force_sum
+        if ti.static(self.features.clumps and not self.exact):
+            if self.particles.clump[i] < 0:  # the weight of a clump acts at its center of mass
+                force += self.particles.mass[i] * gravity
+        elif ti.static(not self.exact):
+            force += self.particles.mass[i] * gravity
+        if ti.static(self.features.external_forces):
+            force += self.external_forces.force(chunk, i, force, dt)
+        return force
 
 
 # CPU: one launch for many steps
@@ -399,6 +429,9 @@ def build_cpu_steps(state: State) -> Callable[..., None]:
         control.running[0] = ti.cast(
             steps > 0 and control.rebuild_due[0] == 0 and control.abort[0] == 0, ti.i32
         )
+        if ti.static(cpu_steps.step.moves_walls_first):
+            if moving == 1 and control.running[0] == 1:
+                cpu_steps.step.move_walls(chunks, pose, dt)
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
                 launch = ti.Struct(
@@ -474,7 +507,7 @@ class CpuSteps:
         """Move the walls after the integration, count the step after the forces, and decide whether to
         continue."""
         self.control.next_chunk[CACHE_LINE] = 0
-        if ti.static(self.step.force_controlled):
+        if ti.static(self.step.force_controlled and not self.step.moves_walls_first):
             if computes_forces == 0:
                 pose = launch.pose + self.control.steps_done[0]
                 self.step.move_walls(launch.chunks, pose, launch.dt)
@@ -491,6 +524,10 @@ class CpuSteps:
         if computes_forces == 1 and self.control.worker_count[0] < self.control.started_count[0]:
             # Without a worker the rest of a launch costs more than the start of the next one.
             continues = False
+        if ti.static(self.step.moves_walls_first):
+            if computes_forces == 1 and launch.moving == 1 and continues:
+                pose = launch.pose + self.control.steps_done[0]
+                self.step.move_walls(launch.chunks, pose, launch.dt)
         self.control.running[0] = ti.cast(continues, ti.i32)
 
 
@@ -547,6 +584,12 @@ def build_gpu_step(state: State) -> Callable[..., None]:
         moving: ti.i32,
         forcing: ti.i32,
     ):
+        if ti.static(gpu_step.step.moves_walls_first):  # a dispatch of its own
+            if (
+                moving == 1
+                and ti.min(control.halted_at[PHASE_INTEGRATION], control.halted_at[PHASE_FORCES]) >= number
+            ):
+                gpu_step.step.move_walls(chunks, pose, dt)
         for thread in range(threads):
             if (
                 moving == 1
@@ -577,7 +620,8 @@ class GpuStep:
         """Integrate one chunk; the first task also moves the walls, which the integration does not read."""
         if chunk == 0:
             self.control.steps_done[0] = launch.steps_before
-            self.step.move_walls(launch.chunks, launch.pose, launch.dt)
+            if ti.static(not self.step.moves_walls_first):
+                self.step.move_walls(launch.chunks, launch.pose, launch.dt)
         self.step.integrate(chunk, launch.count, launch.pose, launch.dt)
         self._record_halt(PHASE_INTEGRATION, launch.number)
 

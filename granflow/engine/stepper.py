@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.engine.attached import attach
 from granflow.engine.backend import free_device_memory
 from granflow.engine.codes import ABORT_OVERLAP, NOT_HALTED, PHASE_FORCES
 from granflow.engine.contact import build_end_wall_work
@@ -156,8 +157,13 @@ class Stepper:
         if self.state.control.wall_flows is not None:
             self.state.built(build_withdraw)()
         self.rebuild_neighbor_lists(step, pose)
+        self._attach(pose)
         self._write_force_inputs(step, velocities_lag)
         self.forces(pose, history_step=0.0)
+
+    def _attach(self, pose: int) -> None:
+        """Attach particles to their walls, see `attached.build_attach`."""
+        attach(self.state, pose)
 
     def _write_force_inputs(self, step: int, velocities_lag: bool = True) -> None:
         """Write the clock of external forces and damping, for forces after step number `step`, if any."""

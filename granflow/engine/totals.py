@@ -584,7 +584,17 @@ def _build_energy_terms(state: State) -> Any:
 
 DELETED_FIELDS = tuple(
     dict.fromkeys(
-        ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed", *CLUMP_MOTION)
+        (
+            "id",
+            "mass",
+            "radius",
+            "position",
+            "velocity",
+            "angular_velocity",
+            "fixed",
+            "attached_to",
+            *CLUMP_MOTION,
+        )
     )
 )
 """Fields of deleted particles that their accounting needs."""
@@ -604,14 +614,17 @@ def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarr
 def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, np.ndarray]) -> None:
     """Add deleted particles with the fields DELETED_FIELDS to the accounting.
 
-    With `on_exit: error`, sets the abort code if one of them left the domain.
+    Sets the abort code if one of them left the domain and `on_exit` is error, or a wall has moved it.
     """
     position = of_clumps(arrays)["position"].astype(float)
     outlet_index = _outlets_of(state.plan, position)
     left_domain = outlet_index < 0
-    if state.plan.scene.domain.on_exit == "error" and left_domain.any():
+    aborts = left_domain
+    if state.plan.scene.domain.on_exit != "error":
+        aborts = left_domain & (arrays.get("attached_to", np.full(len(position), -1)) >= 0)
+    if aborts.any():
         state.control.abort[0] = ABORT_LEFT_DOMAIN
-        state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
+        state.control.abort_particle[0] = int(arrays["id"][aborts].min())
     accounting.delete(arrays, outlet_index, np.array(state.plan.scene.gravity))
     accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
 

@@ -226,6 +226,13 @@ def controlled_velocities(state: State) -> np.ndarray:
     return _per_wall(state, "velocity")
 
 
+def synchronized_velocities(state: State) -> np.ndarray:
+    """As `controlled_velocities`, at the time of the positions."""
+    if state.wall_dynamics is None:
+        return np.zeros((len(state.plan.walls), 3))
+    return _summed_per_wall(state, _synchronized(state)[0])
+
+
 def _per_wall(state: State, name: str) -> np.ndarray:
     """Sum over the motions of each wall of a field times the direction (walls, 3)."""
     if state.wall_dynamics is None:

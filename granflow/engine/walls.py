@@ -196,6 +196,31 @@ class WallGeometry:
         return local
 
     @ti.func
+    def in_space(self, w, pose, local):
+        """The present position [m] of a point of the wall at rest; in a periodic box not wrapped."""
+        point = local
+        if ti.static(self.features.moving_walls):
+            rotation = self.walls.rotation[pose, w]
+            point = rotation @ (local - self.walls.pivot[w]) + self._center(w, pose)
+        return point
+
+    @ti.func
+    def direction_in_space(self, w, pose, local):
+        """The present direction of a vector of the wall at rest."""
+        found = local
+        if ti.static(self.features.moving_walls):
+            found = self.walls.rotation[pose, w] @ local
+        return found
+
+    @ti.func
+    def direction_at_rest(self, w, pose, direction):
+        """A vector in the frame of the wall at rest."""
+        found = direction
+        if ti.static(self.features.moving_walls):
+            found = self.walls.rotation[pose, w].transpose() @ direction
+        return found
+
+    @ti.func
     def wall_distance(self, w, pose, point):
         """Distance [m] to the surface of a wall that is not a mesh, for the neighbor list."""
         local = self.to_wall_frame(w, pose, point)

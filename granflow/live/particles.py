@@ -264,7 +264,7 @@ class LiveParticles:
 
     @property
     def group(self) -> ParticleArray:
-        """Names (n,) of the groups; a new group must have the same material, and be as mobile or fixed."""
+        """Names (n,) of the groups; a new group must have the same material, and be mobile or fixed alike."""
         return ParticleArray(self, "group", lambda: self._names("group"), self._write_group)
 
     @group.setter
@@ -419,11 +419,12 @@ class LiveParticles:
         self._write("angular_velocity", values)
 
     def _refuse_motion(self, name: str, values: np.ndarray) -> None:
-        """Raise GranflowError if a fixed particle would move."""
+        """Raise GranflowError if the velocity of a fixed particle would change."""
         fixed = self._is_fixed(self._numbers("group"))
-        if np.any(values[fixed] != 0.0):
+        if np.any(values[fixed] != np.asarray(getattr(self, name))[fixed]):
             raise GranflowError(
-                f"particles.{name}: particles of a fixed group cannot move; write 0 for them."
+                f"particles.{name}: forces and programs do not move particles of a fixed group; leave theirs "
+                "unchanged."
             )
 
     def _refuse_without_temperature(self) -> None:
@@ -463,10 +464,11 @@ class LiveParticles:
         numbers = np.array([named("particles.group", str(name), names) for name in values], dtype=np.int32)
         materials = np.array([group.material_number for group in groups])
         if np.any(materials[numbers] != self._numbers("material")) or np.any(
-            self._is_fixed(numbers) != self._is_fixed(self._numbers("group"))
+            self._fixing(numbers) != self._fixing(self._numbers("group"))
         ):
             raise GranflowError(
-                "particles.group: the new group must have the same material, and be as mobile or fixed."
+                "particles.group: the new group must have the same material, and be mobile or fixed in the "
+                "same way."
             )
         self._engine.accounting.set_group(self._field("id"), numbers)
 
@@ -485,6 +487,11 @@ class LiveParticles:
     def _is_fixed(self, groups: np.ndarray) -> np.ndarray:
         """Whether each group number (n,) is that of a fixed group."""
         return np.array([group.spec.fixed for group in self._engine.plan.groups])[groups]
+
+    def _fixing(self, groups: np.ndarray) -> np.ndarray:
+        """For each group number (n,), equal numbers for groups that are mobile, or fixed to the same wall."""
+        walls = np.array(self._engine.plan.attached_walls)
+        return (walls + self._is_fixed(np.arange(len(walls))))[groups]
 
 
 # Added particles: arguments to arrays

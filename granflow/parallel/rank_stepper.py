@@ -69,6 +69,11 @@ class RankStepper(Stepper):
         """Update the ghosts from their owners."""
         self._rank_rebuild.ghosts.update()
 
+    def _attach(self, pose: int) -> None:
+        """As `Stepper._attach`; the ghosts get the velocities from their owners."""
+        super()._attach(pose)
+        self.update_ghosts()
+
     def _grow_capacities(self, particles: int, needed: int, longest: int) -> None:
         """Increase the arrays to at least these capacities, and build all kernels again."""
         state = self.state

@@ -41,6 +41,7 @@ class Features:
     """Periodic axes, such as "x, y", or "none"."""
     lees_edwards: bool
     fixed_particles: bool
+    attached_particles: bool
     outlets: bool
     size_classes: str
     """Number of size classes with separate cell grids, or "none"."""
@@ -237,6 +238,15 @@ def _rows(
         f"particles.{fixed[0]} is fixed ({where('particles', fixed[0], 'fixed')})"
         if fixed
         else "no group of particles is fixed",
+    )
+    attached = [(name, group.attached_to) for name, group in groups.items() if group.attached_to]
+    yield (
+        "attached_particles",
+        bool(attached),
+        f"particles.{attached[0][0]} moves with the wall {attached[0][1]} "
+        f"({where('particles', attached[0][0], 'fixed')})"
+        if attached
+        else "no particles move with a wall",
     )
     yield (
         "outlets",

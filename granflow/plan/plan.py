@@ -333,6 +333,12 @@ class Plan:
         return found
 
     @property
+    def attached_walls(self) -> list[int]:
+        """Number of the wall with which the particles of each group move; -1 for none."""
+        numbers = {wall.name: number for number, wall in enumerate(self.walls)}
+        return [numbers.get(group.spec.attached_to or "", -1) for group in self.groups]
+
+    @property
     def largest_volume_per_work(self) -> float:
         """Largest k / H [1/Pa] of all walls and materials of particles; 0 without wear."""
         worn = [wall.spec.wear for wall in self.walls if wall.spec.wear is not None]

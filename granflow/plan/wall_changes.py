@@ -27,7 +27,12 @@ def wall_named(plan: Plan, name: str) -> PlannedWall:
 
 
 def without_wall(plan: Plan, name: str, time: float) -> Plan:
-    """The plan with a wall that vanishes at `time` [s]."""
+    """The plan with a wall that vanishes at `time` [s]. Raises GranflowError if particles move with it."""
+    attached = [group.name for group in plan.groups if group.spec.attached_to == name]
+    if attached:
+        raise GranflowError(
+            f"walls[{name!r}] cannot be removed: the particles of {', '.join(attached)} move with it."
+        )
     return with_wall(plan, vanishing(wall_named(plan, name), time))
 
 

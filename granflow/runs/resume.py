@@ -132,6 +132,7 @@ FEATURE_SWITCHES = (
     "wall_forces",
     "damping",
     "fixed_particles",
+    "attached_particles",
 )
 """Features that determine which arrays exist."""
 

@@ -458,6 +458,24 @@ def wall_values(parts: PartialScene) -> Iterator[Fault]:
                 yield replace(fault, path=("walls", name, *fault.path))
 
 
+def attached_particles(parts: PartialScene) -> Iterator[Fault]:
+    """Particles move with an existing wall that is present in the whole run and has no surface velocity."""
+    known = parts.names("walls")
+    for name, group in parts.scene.particles.items():
+        if group.attached_to is None:
+            continue
+        path: KeyPath = ("particles", name, "fixed", "to")
+        wall = parts.scene.walls.get(group.attached_to)
+        if group.attached_to not in known:
+            yield unknown(path, group.attached_to, known, "wall")
+        elif wall is not None and not wall.is_permanent:
+            reason = "particles need a wall that is present in the whole run; remove its stages or times"
+            yield Fault(path, f"the wall appears or vanishes, but {reason}")
+        elif wall is not None and wall.has_belt:
+            reason = "which moves its surface and not its geometry, with which the particles move"
+            yield Fault(path, f"the wall has a surface velocity, {reason}; use another wall")
+
+
 def wear_materials(parts: PartialScene) -> Iterator[Fault]:
     """Coefficients of wear are those of materials, and each material of particles has one."""
     scene = parts.scene
@@ -890,6 +908,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact",), liquid_content),
     (("contact", "pairs", "stages"), equation_values),
     (("contact",), wall_values),
+    (("particles",), attached_particles),
     (("particles", "materials"), wear_materials),
     (("contact", "output"), heat_options),
     (("contact", "pairs"), material_values),

@@ -63,7 +63,7 @@ def poured() -> Scene:
 
 def moved_walls() -> Scene:
     """A bed with a coarse particle between a turning mesh, a belt, a servo lid, a free and a shaken wall, which
-    wear by all laws."""
+    wear by all laws; particles are attached to the lid and to the mesh."""
     os.chdir(FILES.name)  # where a scene without a file looks for meshes
     points, corners = cube()
     write(Path("cube.stl"), 0.02 * points + [0.011, 0.011, -0.0185], corners)
@@ -98,7 +98,7 @@ def moved_walls() -> Scene:
         {"kind": "surface_velocity", "velocity": [0.0, 1.0, 0.0], "start": 5e-4},
     ]
     walls["high_x"]["motion"] = table
-    walls["high_y"]["motion"] = {"kind": "free", "mass": 0.2, "direction": [0, -1, 0]}
+    walls["high_y"]["motion"] = {"kind": "free", "mass": 0.25, "direction": [0, -1, 0]}
     walls["high_z"]["motion"] = {"kind": "servo", "force": 2.0, "velocity_max": 0.5, "direction": [0, 0, -1]}
     walls["cube"]["wear"] = {
         "law": "finnie",
@@ -109,8 +109,14 @@ def moved_walls() -> Scene:
     walls["low_x"]["wear"] = {"law": "relative"}
     lattice = moving_lattice((6, 6, 5), largest=0.0062, speed=1.0)
     coarse = particle_group([[0.021, 0.021, 0.0365]], 0.009, velocity=[[0.0, 0.0, -6.0]])
+    on_lid = particle_group(0.026 * np.argwhere(np.ones((2, 2, 1))) + [0.0049, 0.0049, 0.0365], 0.006)
+    on_cube = particle_group([[0.0146, 0.0146, 2e-3], [0.0276, 0.0276, 2e-3]], 0.005)
+    attached = {
+        "on_lid": on_lid | {"fixed": {"to": "high_z"}},
+        "on_cube": on_cube | {"fixed": {"to": "cube"}},
+    }
     return build_scene(
-        {"lattice": lattice, "coarse": coarse}, walls=walls, gravity=[0.0, 3.0, -9.81],
+        {"lattice": lattice, "coarse": coarse, **attached}, walls=walls, gravity=[0.0, 3.0, -9.81],
         numerics={"chunk_size": 32, "skin": 2e-4},
         run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6, "precision": "mixed"},
         output={"interval": 1e-3, "energy_budget": True, "wall_forces": True, "walls": False, "checkpoint": {"interval": 2.5e-4, "keep": 100}},
@@ -201,13 +207,20 @@ def with_models(normal, rolling, cohesion, options, restitution=0.5, **material)
 
 
 def periodic() -> Scene:
-    """The lattice between two walls in a box that is periodic along x and y."""
-    walls = {name: wall for name, wall in box(0.042).items() if name.endswith("z")}
+    """The lattice between two walls in a box that is periodic along x and y; particles move with the upper one
+    across the boundary."""
+    walls: dict[str, Any] = {name: wall for name, wall in box(0.042).items() if name.endswith("z")}
+    walls["high_z"]["motion"] = {"kind": "translation", "velocity": [3.0, -1.0, -0.5]}
+    on_top = particle_group(0.0105 * np.argwhere(np.ones((4, 4, 1))) + [0.005, 0.005, 0.0437], 0.006)
     domain = {
         "min": [0.0, 0.0, -0.01], "max": [0.042, 0.042, 0.05], "periodic": ["x", "y"], "on_exit": "error",
     }  # fmt: skip
     return build_scene(
-        {"lattice": moving_lattice((6, 6, 6), largest=0.0062, speed=1.0)}, walls, domain=domain,
+        {
+            "lattice": moving_lattice((6, 6, 6), largest=0.0062, speed=1.0),
+            "on_top": on_top | {"fixed": {"to": "high_z"}},
+        },
+        walls, domain=domain,
         rolling="epsd", pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
         numerics={"chunk_size": 32, "skin": 2e-4}, run={"duration": 6e-3, "velocity_max": 4.0, "time_step": 2e-6},
         output={"interval": 1e-3, "energy_budget": True, "checkpoint": {"interval": 5e-4, "keep": 100}},
@@ -254,7 +267,7 @@ QUICK = {
 SLOW = {
     "poured": Row(poured, ("outlet_count.side", "wall_work", "plastic_dissipation", "rolling_dissipation")),
     "disturbed": Row(lambda: complex_scene(0.009), ("wall_work",), disturb, on_ranks=False),
-    "periodic": Row(periodic, ("contact_count",)),
+    "periodic": Row(periodic, ("contact_count", "wall_work")),
     "sheared": Row(
         lambda: sheared_gas(duration=0.012, sizes=(0.002, 0.0065), output={"interval": 2e-3, "checkpoint": {"interval": 1e-3, "keep": 100}}), ("boundary_work",)
     ),

@@ -29,7 +29,7 @@ from granflow.schema.model import (
 )
 from granflow.visible_text import alternatives
 
-# Keys `radius`, `velocity`, `angular_velocity` and `thermal`
+# Keys `radius`, `velocity` and `angular_velocity`
 
 RadiusOrMany = Annotated[
     Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
@@ -60,6 +60,31 @@ AngularVelocityOrMany = Annotated[
 ]
 """One angular velocity (3,) [rad/s] for all particles, or one for each."""
 
+
+# Key `fixed`
+
+
+class FixedTo(Model):
+    """The wall with which fixed particles move."""
+
+    to: Text = Field(description="name of the wall with which the particles move", examples=["lid"])
+
+
+def _fixed_tag(value: Any) -> str | None:
+    """Distinguish a wall from true and false."""
+    if isinstance(value, dict | FixedTo):
+        return "<wall>"
+    return "<flag>" if isinstance(value, bool) else None
+
+
+Fixed = Annotated[
+    Annotated[Flag, Tag("<flag>")] | Annotated[FixedTo, Tag("<wall>")],
+    choose_by(_fixed_tag, "true, false or {to: WALL} is expected"),
+]
+"""Whether particles are fixed in space, or the wall with which they move."""
+
+
+# Key `thermal`
 
 EXCEEDED = 1e-3
 """Approximate probability that any particle is faster than `ThermalMotion.largest_speed`."""
@@ -177,7 +202,15 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}",
         examples=[{"velocity_rms": "0.1 m/s"}],
     )
-    fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
+    fixed_given: Fixed = Field(
+        False,
+        alias="fixed",
+        description=(
+            "true: the particles never move, such as those of a rough wall at rest; {to: WALL}: they move "
+            "with the wall, as if they were glued to it"
+        ),
+        examples=[{"to": "lid"}],
+    )
     insert: Insertion = Field(description=f"insertion, {{kind: {', '.join(kinds(lambda kind: True))}, ...}}")
     _count_of_flow: int | None = PrivateAttr(None)
 
@@ -188,6 +221,16 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         if count is None:
             raise ValueError("The number of particles is not resolved; see granflow.particles.resolve.")
         return count
+
+    @property
+    def fixed(self) -> bool:
+        """Whether no force moves the particles: they are at rest, or move with a wall."""
+        return bool(self.fixed_given)
+
+    @property
+    def attached_to(self) -> str | None:
+        """Name of the wall with which fixed particles move; None for others."""
+        return self.fixed_given.to if isinstance(self.fixed_given, FixedTo) else None
 
     @property
     def flows_to_end(self) -> bool:
@@ -351,20 +394,26 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             reason = f"insert.kind is {self.insert.kind}; random velocities require {accepted}"
             yield whole(("thermal",), f"cannot be combined with it: {reason}")
         elif self.fixed:
-            yield whole(("thermal",), "cannot be combined with fixed: true; remove thermal")
+            yield whole(("thermal",), "cannot be combined with fixed; remove thermal")
         elif thermal.zero_momentum and self.count_given == 1:
             reason = "one particle has momentum; write zero_momentum: false, or give two particles"
             yield whole(("thermal",), f"cannot have zero momentum: {reason}")
 
     def _fixed_faults(self) -> Iterator[Fault]:
-        """Fixed particles must exist from the start and be at rest."""
+        """Fixed particles must exist from the start, and have no velocity of their own."""
         if isinstance(self.insert, TimedInsertion):
             timed = " and ".join(kinds(lambda kind: issubclass(kind, TimedInsertion)))
             others = alternatives(kinds(lambda kind: kind.order is not None))
             yield Fault(("fixed",), f"{timed} require moving particles; use {others}")
         for key in ("velocity", "angular_velocity"):
             if np.any(getattr(self, key)):
-                yield Fault((key,), f"fixed is true, so the particles do not move; remove {key}")
+                wall = self.attached_to
+                moves = (
+                    "is true, so the particles do not move"
+                    if wall is None
+                    else f"is {{to: {wall}}}, so the particles move with this wall"
+                )
+                yield Fault((key,), f"fixed {moves}; remove {key}")
 
     def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
         """Yield the key path and the length of each value that is given as a list, one entry per particle."""

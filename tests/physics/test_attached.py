@@ -1,0 +1,181 @@
+"""Particles that move with a wall: their path, contacts as with a wall of their shape, and their forces on it."""
+
+import re
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, column, particle_group, run_and_sample, times
+
+from granflow.engine.wall_dynamics import controlled_forces
+from granflow.errors import GranflowError, RunError, SceneError
+from granflow.load import Scene
+from granflow.scene.blocks.motions import Translation
+from granflow.simulation import Simulation
+
+R, TARGET, SPIN = 0.004, 0.4, 40.0
+CONTACT = {
+    "normal": {"law": "linear", "stiffness": {"value": 2e3}},
+    "tangential": {"law": "linear_history", "stiffness": 1e3},
+    "rolling": "none",
+}
+"""Models with springs of given stiffness, whose forces do not depend on the radius of the partner."""
+OTHER = np.array([0.1, 0.0, 0.0])
+"""Distance of the spherical wall from the attached sphere that moves alike."""
+
+
+def rocking(point):
+    """A wall shakes, and turns about an axis beside its point."""
+    shaken = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 80.0, "phase": 1.0}
+    turned = {"kind": "rotation", "point": point.tolist(), "axis": [0, 1, 0], "angular_velocity": SPIN}
+    return [shaken, turned]
+
+
+def plate(corner, size, **more):
+    return {
+        "shape": "rectangle",
+        "corner": corner,
+        "sides": [[size, 0, 0], [0, size, 0]],
+        "material": "glass",
+    } | more
+
+
+def yard(duration=0.02, **parts):
+    """A ball on a sphere that is attached to a moving plate, another one on a spherical wall that moves
+    alike, and four balls below a servo lid with spheres below its surface."""
+    axis = np.array([0.003, 0.0, 0.0])
+    square = np.array([[x, y, 0.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)]) + [0.2, 0.0, R]
+    servo = {"kind": "servo", "direction": [0, 0, -1], "force": TARGET, "velocity_max": 0.2}
+    walls = {
+        "plate": plate([-R / 2, -R / 2, -0.01], R, motion=rocking(axis), torque_point=axis.tolist()),
+        "sphere": {
+            "shape": "sphere", "center": OTHER.tolist(), "radius": R, "material": "glass",
+            "motion": rocking(axis + OTHER), "torque_point": (axis + OTHER).tolist(),
+        },
+        "floor": plate([0.16, -0.04, 0.0], 0.08),
+        "lid": plate([0.18, -0.02, 4 * R + 1e-4], 0.04, motion=servo),
+    }  # fmt: skip
+    above = [[5e-4, 2e-4, 2 * R + 1.5e-3], [5e-4, 2e-4, 2 * R + 1.5e-3] + OTHER]
+    groups = {
+        "balls": particle_group(np.concatenate([above, square]), 2 * R),
+        "hub": particle_group([[0, 0, 0]], 2 * R) | {"fixed": {"to": "plate"}},
+        "rough": particle_group(square + [0, 0, 2 * R + 2e-4], 2 * R) | {"fixed": {"to": "lid"}},
+    }
+    given = {
+        "contact": CONTACT, "pair": {"restitution": 0.4, "friction": 0.3}, "gravity": [0.0, 0.0, -9.81],
+        "run": {"duration": duration, "velocity_max": 1.0, "time_step": 2e-6},
+        "output": {"interval": 1e-3, "energy_budget": True, "wall_forces": True},
+        "domain": {"min": [-0.05, -0.05, -0.05], "max": [0.25, 0.05, 0.1], "on_exit": "delete"},
+    }  # fmt: skip
+    return build_scene(groups, walls, **(given | parts))
+
+
+@pytest.fixture(scope="module")
+def snapshots():
+    """The particles of a run every 0.2 ms; the last snapshot is that of its end."""
+    return run_and_sample(yard(), 2e-4)
+
+
+def test_attached_particle_has_the_pose_of_its_wall(snapshots):
+    """Position, velocity and spin of the sphere follow from z(t) = A (sin(wt + p) - sin(p)) and the angle
+    SPIN t about the axis: x = c + R (x0 - c)."""
+    t = times(snapshots)
+    omega = 2 * np.pi * 80.0
+    height = 1e-3 * np.sin(omega * t + 1.0)
+    # (x0 - c) = (-0.003, 0, 0), rotated about y: (-0.003 cos, 0, 0.003 sin)
+    arm = 0.003 * np.stack([-np.cos(SPIN * t), 0 * t, np.sin(SPIN * t)], axis=1)
+    start = np.array([0, 0, 1e-3 * np.sin(1.0)])
+    center = np.array([0.003, 0.0, 0.0]) - start + np.stack([0 * t, 0 * t, height], axis=1)
+    hub = len(snapshots[0].particles["id"]) - 5
+    assert np.abs(column(snapshots, "position")[:, hub] - center - arm).max() < 1e-12
+    spin = np.array([0.0, SPIN, 0.0])
+    rate = np.stack([0 * t, 0 * t, 1e-3 * omega * np.cos(omega * t + 1.0)], axis=1) + np.cross(spin, arm)
+    assert np.abs(column(snapshots, "velocity")[:, hub] - rate).max() < 1e-9
+    assert np.all(column(snapshots, "angular_velocity")[:, hub] == spin)
+
+
+def test_attached_sphere_acts_as_a_moving_spherical_wall(snapshots):
+    """The balls on both follow the same path; force and torque on both walls agree.
+
+    Contacts with a wall integrate the normal on the wall, those of spheres that of the branch vector: they
+    differ by the order of the square of the time step.
+    """
+    position, force = (column(snapshots, name) for name in ("position", "force"))
+    touched = np.linalg.norm(force[:, 1], axis=1) > 0.1
+    assert touched.sum() > 5
+    assert np.abs(position[:, 1] - OTHER - position[:, 0]).max() < 1e-7
+    last = snapshots[-1].impulses
+    assert np.linalg.norm(last["sphere"][:3]) > 3e-4 and np.abs(last["sphere"][3:6]).max() > 1e-6
+    assert last["plate"][:6] == pytest.approx(last["sphere"][:6], rel=1e-3, abs=1e-9)
+
+
+def test_servo_lid_feels_its_attached_particles(taichi_f64):
+    """The force on the lid is the sum of the contact forces on its particles, and reaches the target."""
+    with Simulation(yard(0.06)) as simulation:
+        simulation.run(until=0.02)
+        for _ in range(3):
+            simulation.run(until=simulation.time + 2e-5)
+            lid = simulation.snapshot().particles["force"][-4:].sum(axis=0)
+            (on_particles,) = controlled_forces(simulation.engine.state)
+            assert on_particles == pytest.approx(lid[2], abs=1e-9)
+        before = simulation.snapshot()
+        simulation.run()
+        after = simulation.snapshot()
+    assert after.particles["attached_to"].tolist() == 6 * [-1] + [0] + 4 * [3]
+    impulse = (after.impulses["lid"] - before.impulses["lid"]) / (after.time - before.time)
+    assert impulse[2] == pytest.approx(TARGET, rel=0.02)
+    assert impulse[6] == pytest.approx(impulse[2], rel=1e-9), (
+        "the pressing force is along the normal of the lid"
+    )
+    assert after.particles["force"][-4:, 2].sum() == pytest.approx(TARGET, rel=0.02)
+    assert abs(after.totals["energy_error"]) < 1e-4
+
+
+def test_motion_from_a_program_moves_the_particles_which_cannot_leave_the_domain(taichi_f64):
+    """From the pose that the wall has reached; the domain deletes particles, but not those of a wall, which
+    cannot be removed either."""
+    with Simulation(yard()) as simulation:
+        simulation.run(until=0.002)
+        with pytest.raises(
+            GranflowError, match=r"walls\['plate'\] cannot be removed: the particles of hub move"
+        ):
+            simulation.walls["plate"].remove()
+        before = simulation.snapshot()
+        simulation.walls["plate"].motion = Translation(velocity=[0.0, -0.5, 0.0])
+        simulation.particles.velocity[:2] = [0.0, 0.0, 0.1]  # beside those of a wall, which stay as they are
+        with pytest.raises(GranflowError, match="forces and programs do not move particles of a fixed group"):
+            simulation.particles.velocity[6] = 0.0
+        simulation.run(until=0.004)
+        after = simulation.snapshot()
+        moved = after.particles["position"][6] - before.particles["position"][6]
+        assert moved == pytest.approx([0.0, -0.5 * (after.time - before.time), 0.0], abs=1e-12)
+        simulation.walls["plate"].motion = Translation(velocity=[0.0, -10.0, 0.0])
+        with pytest.raises(RunError, match="outside the domain, and it moves with a wall .* Enlarge"):
+            simulation.run()
+
+
+@pytest.mark.parametrize(
+    ("group", "wall", "message"),
+    [
+        (
+            {"fixed": {"to": "lit"}},
+            {},
+            "particles.hub.fixed.to is lit, but there is no such wall. Did you mean lid",
+        ),
+        ({"fixed": {"on": "lid"}}, {}, "fixed.on is not a known key"),
+        ({"fixed": "lid"}, {}, "particles.hub.fixed is lid, but true, false or {to: WALL} is expected"),
+        ({"velocity": [0.1, 0, 0]}, {}, "so the particles move with this wall; remove velocity"),
+        ({}, {"vanishes_at": 0.01}, "the wall appears or vanishes"),
+        (
+            {},
+            {"motion": {"kind": "surface_velocity", "velocity": [1, 0, 0]}},
+            "the wall has a surface velocity",
+        ),
+    ],
+)
+def test_what_cannot_be_attached_is_refused(group, wall, message):
+    """With key, value and remedy."""
+    scene = yard().to_dict()
+    scene["particles"]["hub"] |= group
+    scene["walls"]["plate"] |= wall
+    with pytest.raises(SceneError, match=re.escape(message)):
+        Scene.from_dict(scene)
