@@ -539,7 +539,15 @@ _PARTICLE_FIELDS = {
             condition=lambda features: features.loss_heat,
             displayed=False,
         ),
-        FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
+        FieldSpec(
+            "group",
+            "",
+            "1",
+            "index of the group of particles in the scene",
+            file_type="int32",
+            dtype="i32",
+            condition=lambda features: features.wall_groups,
+        ),
         FieldSpec(
             "insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False
         ),

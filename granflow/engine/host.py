@@ -543,6 +543,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         "position_at_rebuild": new.position,
         "velocity": new.velocity,
         "angular_velocity": new.angular_velocity,
+        "group": new.group,
     }
     for name, values in (plan.initial_values | plan.initial_sources).items():
         arrays[name] = np.array(values)[new.group]

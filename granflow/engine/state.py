@@ -387,6 +387,7 @@ class Walls:
     wear_law:          index in `Plan.wear_laws`, or NOT_WORN
     wear_row:          row in `Control.wear`; of a mesh that of triangle 0 of all meshes, which can be below 0
     wear_coefficient:  worn volume over work [1/Pa] by material of the particle
+    holds:             1 for groups of particles that touch the wall, 0 for those that pass; None if all touch
     values:            keys that contact models read, and 1 or 0 for whether a wall gives them: two fields by
                        key
     """
@@ -412,6 +413,8 @@ class Walls:
         self.wear_law: Any = block.scalar(ti.i32, count) if worn else None
         self.wear_row: Any = block.scalar(ti.i32, count) if worn else None
         self.wear_coefficient: Any = block.scalar(ti.f64, count, len(plan.materials)) if worn else None
+        is_selective = plan.features.wall_groups
+        self.holds: Any = block.scalar(ti.i32, count, len(plan.groups)) if is_selective else None
         has_belt = plan.features.surface_velocity
         self.surface_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if has_belt else None
         self.values = {
@@ -431,6 +434,8 @@ class Walls:
             if self.impulse_row is not None:
                 measured = plan.scene.measured_walls
                 self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
+            for number, group in enumerate(plan.groups if self.holds is not None else ()):
+                self.holds[index, number] = int(wall.spec.holds(group.name))
             for key, (values, given) in self.values.items():
                 value = plan.wall_values[key][index]
                 values[index] = value or 0.0

@@ -458,7 +458,7 @@ class LiveParticles:
         self._write("radius", radius, mass=sphere_mass(radius, density[self._numbers("material")]))
 
     def _write_group(self, values: np.ndarray) -> None:
-        """Change the groups in the accounting; forces do not depend on them."""
+        """Change the groups in the accounting, and on the device if groups pass through walls."""
         groups = self._engine.plan.groups
         names = [group.name for group in groups]
         numbers = np.array([named("particles.group", str(name), names) for name in values], dtype=np.int32)
@@ -470,6 +470,8 @@ class LiveParticles:
                 "particles.group: the new group must have the same material, and be mobile or fixed in the "
                 "same way."
             )
+        if self._engine.plan.features.wall_groups:
+            self._write("group", values, group=numbers)
         self._engine.accounting.set_group(self._field("id"), numbers)
 
     def _numbers(self, kind: str) -> np.ndarray:

@@ -374,6 +374,7 @@ def structure_of(plan: Plan) -> Hashable:
         plan.scene.equations,
         plan.wall_flows,
         (plan.wear_laws, len(plan.materials)) if plan.wear_laws else (),
+        len(plan.groups) if plan.features.wall_groups else 0,
         plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),

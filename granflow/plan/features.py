@@ -60,6 +60,8 @@ class Features:
     """Whether the losses of contacts become heat of the particles."""
     wear: bool = False
     """Whether walls wear."""
+    wall_groups: bool = False
+    """Whether particles of some groups pass through a wall."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -295,6 +297,10 @@ def _rows(
     worn = [name for name, wall in walls.items() if wall.wear is not None]
     if worn:
         yield "wear", True, f"wear of {', '.join(worn)} ({where('walls', worn[0], 'wear')})"
+    selective = [name for name, wall in walls.items() if wall.groups is not None]
+    if selective:
+        place = where("walls", selective[0], "groups")
+        yield "wall_groups", True, f"some groups pass through {', '.join(selective)} ({place})"
     yield "external_forces", False, "forces are added from Python only"
 
 

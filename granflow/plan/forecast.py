@@ -146,7 +146,8 @@ def _lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) 
             lowest.append(float((wall.surface.triangles(np.zeros(3), 0.0)[0] @ up).min()))
             continue
         point, normal = wall.surface.plane
-        is_floor = float(normal @ up) > 1.0 - LEVEL and wall.spec.is_permanent
+        holds_all = wall.spec.is_permanent and wall.spec.groups is None
+        is_floor = float(normal @ up) > 1.0 - LEVEL and holds_all
         (floors if is_floor else lowest).append(float(point @ up) if is_floor else end)
     if floors:
         return max(*floors, end)
@@ -286,9 +287,12 @@ def value_rows(
 
 
 def _coincide(first: PlannedWall, second: PlannedWall) -> bool:
-    """Whether two walls have the same surface, and move and are present alike: particles are in contact with
-    the first one only, see `engine.walls.JoinedWalls`."""
-    presence = [[each.spec.stages, each.spec.start_time, each.spec.end_time] for each in (first, second)]
+    """Whether two walls have the same surface for the same groups, and move and are present alike: particles
+    are in contact with the first one only, see `engine.walls.JoinedWalls`."""
+    presence = [
+        [each.spec.groups, each.spec.stages, each.spec.start_time, each.spec.end_time]
+        for each in (first, second)
+    ]
     is_alike = first.motions == second.motions and presence[0] == presence[1]
     return is_alike and first.surface.has_same_place(second.surface)
 

@@ -200,12 +200,13 @@ def touching_pairs(plan: Plan) -> Iterator[PairCase]:
     particle, and a small one that hits a large one overlaps most. Walls have an infinite radius and mass, as
     have fixed particles concerning their mass.
     """
-    walls = dict.fromkeys(plan.materials[wall.material] for wall in plan.walls)
     for index, group in enumerate(plan.groups):
         for other in plan.groups[index:]:
             if _collide(plan, group, other):
                 for sizes in dict.fromkeys(product(group.spec.diameters, other.spec.diameters)):
                     yield _of_particles(plan, group, other, sizes)
+        touched = [wall for wall in plan.walls if wall.spec.holds(group.name)]
+        walls = dict.fromkeys(plan.materials[wall.material] for wall in touched)
         for wall in walls if not group.spec.fixed else ():
             yield _of_wall(plan, group, wall)
 
@@ -729,7 +730,8 @@ def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, 
             continue
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
         bodies = group.shape.placed_spheres(points, np.full(SAMPLES, radius), None)
-        for wall, overlap in _overlaps(plan.walls, bodies, getattr(group.insert, "start", 0.0), times):
+        walls = [wall for wall in plan.walls if wall.spec.holds(name)]
+        for wall, overlap in _overlaps(walls, bodies, getattr(group.insert, "start", 0.0), times):
             share = float(np.mean(overlap > plan.scene.numerics.intended_overlap))
             if share > 0.0:
                 yield (
@@ -751,7 +753,8 @@ def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
     for (name, group), (own, *bodies) in zip(scene.particles.items(), placed, strict=True):
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
-        for wall, overlap in _overlaps(plan.walls, (bodies[0], bodies[1]), 0.0, times):
+        walls = [wall for wall in plan.walls if wall.spec.holds(name)]
+        for wall, overlap in _overlaps(walls, (bodies[0], bodies[1]), 0.0, times):
             count = int((overlap > scene.numerics.intended_overlap).sum())
             if count:
                 worst = int(overlap.argmax())

@@ -156,7 +156,6 @@ def pair_cases_of(scene: Scene, groups: Sequence[SceneGroup], pairs: PairMateria
     the radius of the largest of them.
     """
     pair_cases = []
-    walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     for n, group in enumerate(groups):
         for other in groups[n:]:
             both = (group.spec.material, other.spec.material)
@@ -166,6 +165,7 @@ def pair_cases_of(scene: Scene, groups: Sequence[SceneGroup], pairs: PairMateria
                 key = scene.pair_key(*both) if group is not other or group.spec.count > 1 else None
                 case = _pair_case(f"{group.name}-{other.name}", both, pairs[both], mobile, partner)
                 pair_cases.append(replace(case, pair_key=key))
+        walls = dict.fromkeys(wall.material for wall in scene.walls.values() if wall.holds(group.name))
         for wall in walls if not group.spec.fixed else ():
             both = (group.spec.material, wall)
             key = scene.pair_key(*both)

@@ -5,7 +5,7 @@ end lists all checks with the sections that must be complete before they run, so
 cause consequential messages. Checks within one block are `Model.faults` of its class.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations_with_replacement, product
@@ -194,25 +194,30 @@ def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
     A pair with a misspelled name counts as the one with the closest known name: another check reports it.
     """
     known = parts.names("materials")
+    groups = parts.scene.particles
     existing = {
         frozenset(nearest(name, known) or name for name in key.split("-")) for key in parts.names("pairs")
     }
     mobile = _counts(parts.scene, set(known), fixed=False)
     fixed = _counts(parts.scene, set(known), fixed=True)
-    walls = {name: wall.material for name, wall in parts.scene.walls.items() if wall.material in known}
+    walls = {
+        name: (wall.material, {each.material for group, each in groups.items() if wall.holds(group)})
+        for name, wall in parts.scene.walls.items()
+        if wall.material in known
+    }
     for both, why in possible_contacts(mobile, fixed, walls).items():
         if both not in existing:
             yield missing(("pairs", pair_name(both)), f"{why}; give at least its restitution and friction")
 
 
 def possible_contacts(
-    mobile: Mapping[str, int], fixed: Iterable[str], walls: Mapping[str, str]
+    mobile: Mapping[str, int], fixed: Iterable[str], walls: Mapping[str, tuple[str, Set[str]]]
 ) -> dict[frozenset[str], str]:
     """Material pairs whose particles or walls can come into contact, with the reason.
 
     mobile:  number of mobile particles for each of their materials
     fixed:   materials of fixed particles, which touch neither each other nor walls
-    walls:   material of each wall
+    walls:   material of each wall, and materials of the particles that touch it
 
     A material with a single particle does not touch itself.
     """
@@ -223,9 +228,10 @@ def possible_contacts(
             found[frozenset((a, b))] = f"particles of {a} can be in contact with {other}"
     for a, b in product(mobile, fixed):
         found.setdefault(frozenset((a, b)), f"particles of {a} can be in contact with fixed ones of {b}")
-    for (name, material), a in product(walls.items(), mobile):
-        reason = f"particles of {a} can be in contact with the wall {name} of {material}"
-        found.setdefault(frozenset((a, material)), reason)
+    for (name, (material, touching)), a in product(walls.items(), mobile):
+        if a in touching:
+            reason = f"particles of {a} can be in contact with the wall {name} of {material}"
+            found.setdefault(frozenset((a, material)), reason)
     return found
 
 
@@ -576,6 +582,18 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
                 yield Fault(location, f"the scene has no stages; {remedy}")
 
 
+def wall_groups(parts: PartialScene) -> Iterator[Fault]:
+    """Groups that touch a wall must exist and move: fixed particles touch no wall."""
+    known = parts.names("particles")
+    for path, wall in _walls(parts.scene):
+        yield from unknown_names((*path, "groups"), wall.groups, known, "group")
+        for index, name in enumerate(wall.groups or ()):
+            group = parts.scene.particles.get(name)
+            if group is not None and group.fixed:
+                reason = f"the particles of {name} are fixed and touch no wall; remove {name}"
+                yield Fault((*path, "groups", index), reason)
+
+
 def duration(parts: PartialScene) -> Iterator[Fault]:
     """Exactly one of `run.duration` and `stages` must be given."""
     is_given = parts.scene.run.duration is not None
@@ -898,6 +916,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact",), pair_properties),
     (("contact",), restitution),
     (("stages",), stage_names),
+    (("particles",), wall_groups),
     (("stages", "run"), duration),
     (("gravity",), gamma_requires_gravity),
     (("run",), force_controlled_walls),

@@ -174,6 +174,7 @@ def conducting() -> Scene:
     scene["walls"]["floor"]["temperature"] = 400.0
     scene["walls"]["low_x"]["heat_flux"] = 1e3
     scene["walls"]["floor"]["wear"] = {"law": "archard", "coefficient": 1e-3, "hardness": "2 GPa"}
+    scene["walls"]["low_x"]["groups"] = ["lattice", "rain"]
     scene["particles"]["lattice"]["heat_source"] = 0.2
     half = {"half_space": {"point": [0.02, 0.0, 0.0], "normal": [1.0, 0.0, 0.5]}}
     scene["stages"][1]["set"] = [

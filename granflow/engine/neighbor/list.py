@@ -358,8 +358,12 @@ class NeighborListFill:
 
     @ti.func
     def _can_touch(self, i, j):
-        """False for two fixed particles, a fixed particle and a wall (j < 0), and two spheres of a clump."""
+        """False for two fixed particles, a fixed particle and a wall (j < 0), two spheres of a clump, and a
+        particle and a wall through which its group passes."""
         can = True
+        if ti.static(self.plan.features.wall_groups):
+            if j < 0:
+                can = self.walls.holds[-1 - j, self.particles.group[i]] == 1
         if ti.static(self.plan.features.fixed_particles):
             if self.particles.fixed[i] == 1:
                 can = j >= 0

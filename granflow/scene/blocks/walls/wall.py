@@ -41,6 +41,9 @@ class Wall(Model):
     appears_at: q.Time | None = optional("time at which the wall appears [s]", "start of the run")
     vanishes_at: q.Time | None = optional("time at which the wall vanishes [s]", "never", examples=["1 s"])
     stages: Names | None = optional("stages in which the wall is present", "all", examples=[["settle"]])
+    groups: Names | None = optional(
+        "groups of particles that touch the wall; all others pass through it", "all", examples=[["coarse"]]
+    )
     motion: Annotated[tuple[MotionSpec, ...], ListOf(one=True)] = Field(
         (),
         description="motion of the wall: one, or a list of motions, each in the frame of those before it",
@@ -101,6 +104,10 @@ class Wall(Model):
     def end_time(self) -> float:
         """Time [s] at which the wall vanishes; infinite by default."""
         return inf if self.vanishes_at is None else self.vanishes_at
+
+    def holds(self, group: str) -> bool:
+        """Whether particles of a group can be in contact with the wall."""
+        return self.groups is None or group in self.groups
 
     def is_present(self, stage: str, time: float) -> bool:
         """Whether the wall is present in a stage at `time` [s]."""
