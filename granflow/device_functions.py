@@ -8,7 +8,7 @@ literals, and each new value would be compiled again; device functions read them
 
 A program can define models, too. Two sections explain in one sentence why a device function cannot be
 compiled, and find branches that the compiler cannot vectorize. The last one has the elementary functions
-`power` and `exponential`.
+`power`, `exponential` and `logarithm`.
 """
 
 import ast
@@ -239,7 +239,7 @@ def _is_static(node: ast.expr) -> bool:
     return isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "static"
 
 
-# Powers and exponentials; on Vulkan, which has neither in f64, from + - * / alone
+# Powers, exponentials and logarithms; on Vulkan, which has none in f64, from + - * / alone
 
 
 @ti.func
@@ -261,6 +261,18 @@ def exponential(x):
         result = exponential_f64(x, 0.0 * x)
     else:
         result = ti.exp(x)
+    return result
+
+
+@ti.func
+def logarithm(x):
+    """ln x for x > 0: `ti.log`, or the sum of the parts of `_logarithm`."""
+    result = 0.0 * x
+    if ti.static(lacks_f64_functions()):
+        high, low = _logarithm(x)
+        result = high + low
+    else:
+        result = ti.log(x)
     return result
 
 

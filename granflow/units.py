@@ -75,6 +75,15 @@ DIMENSIONS: dict[str, Dimension] = {
     "pressure": Dimension(
         "a pressure", "1 GPa", _unit_table("Pa 1, kPa 1e3, MPa 1e6, GPa 1e9, N/m2 1, N/mm2 1e6, bar 1e5")
     ),
+    "viscosity": Dimension(
+        "a viscosity",
+        "1 mPa s",
+        {
+            "Pa s": Fraction(1),
+            "mPa s": Fraction(1, 1000),
+            **_unit_table("Pa*s 1, mPa*s 1e-3, kg/m/s 1, P 0.1, cP 1e-3"),
+        },
+    ),
     "density": Dimension(
         "a density",
         "2500 kg/m3",

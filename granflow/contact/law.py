@@ -345,8 +345,9 @@ def _kind(value: Any) -> str:
 class ContactState:
     """Arguments of a reference implementation of a normal or cohesion model, for one contact and step.
 
-    The members are those of the structs of the device functions, in SI units. `constants` has the pair
-    constants only: a reference implementation reads the parameters of the law in the law itself.
+    The members are those of the structs of the device functions, in SI units; slip_rate (3,) [m/s] is that of
+    viscous forces of cohesion models. `constants` has the pair constants only: a reference implementation
+    reads the parameters of the law in the law itself.
     """
 
     constants: SimpleNamespace
@@ -356,6 +357,7 @@ class ContactState:
     overlap: float
     overlap_rate: float
     history: SimpleNamespace
+    slip_rate: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 # Normal models
@@ -794,15 +796,25 @@ class TwistingLaw(TorqueLaw):
 
 @dataclass(frozen=True)
 class CohesionLaw(Law):
-    """A cohesion model: an attraction in addition to any normal model.
+    """A cohesion model: an attraction in addition to any normal model, and optionally a viscous force.
 
-    It does not press the surfaces together. `force` has no branch, as for a normal model. A model that acts
-    at a distance also gets negative overlaps, down to minus its `range`; its first history field is above 0
-    as long as the contact keeps its history without overlap.
+    It does not press the surfaces together. `force` and `viscous_force` have no branch, as for a normal
+    model. A model that acts at a distance also gets negative overlaps, down to minus its `range`; its first
+    history field is above 0 as long as the contact keeps its history without overlap.
+
+    A model that defines `viscous_force` also defines `resistance`, which limits the time step, and
+    `reference_viscous_force`. The particles then rotate; what the force dissipates is a term of the energy
+    budget, the `loss` of the slot.
     """
 
     required = ("force", "reference")
-    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "force": ("number", "history")}
+    required_if_viscous: ClassVar[tuple[str, ...]] = ("resistance", "reference_viscous_force")
+    """Functions that a model with a viscous force must define."""
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "force": ("number", "history"),
+        "viscous_force": ("number", "vector"),
+    }
     at_distance: ClassVar[bool] = False
     """True for a model that acts without overlap, such as a liquid bridge."""
     transfers_liquid: ClassVar[bool] = False
@@ -822,6 +834,33 @@ class CohesionLaw(Law):
     @ti.func
     def force(self, constants, contact, history):
         """Attraction [N], positive, and the history."""
+
+    @property
+    def is_viscous(self) -> bool:
+        """Whether `viscous_force` acts; by default whether the model defines it."""
+        return type(self).viscous_force is not CohesionLaw.viscous_force
+
+    @ti.func
+    def viscous_force(self, constants, contact, history):
+        """Force that the velocities of the surfaces cause, with and without overlap: its component [N] along
+        the normal, positive if it resists approach, and the tangential force [N] on the first particle.
+
+        Evaluated after `force`, with its history. `contact` has in addition, at the time of the positions,
+
+            overlap_rate  approach velocity of the surfaces [m/s]
+            slip_rate     velocity [m/s] of the first surface relative to the other, in the contact plane
+
+        where the surfaces are at the middle of the overlap, or of the gap. There the tangential force acts:
+        it exerts torques on both particles. The force must not feed energy.
+        """
+
+    def resistance(self, pair: PairMaterial, radius_eff: float) -> tuple[float, float]:
+        """Largest ratios [N s/m] of the viscous force to the velocity, normal and tangential."""
+        return 0.0, 0.0
+
+    def reference_viscous_force(self, contact: ContactState) -> tuple[float, np.ndarray]:
+        """Reference implementation of `viscous_force`: normal component [N] and tangential force [N] (3,)."""
+        raise NotImplementedError
 
     @ti.func
     def form(self, constants, contact, history, volume):
@@ -964,7 +1003,8 @@ class Slot:
 
     name:      the key
     base:      base class of the laws
-    loss:      term of the energy budget to which `act` of a `SurfaceLaw` adds, see `plan.sum_units.LOSSES`
+    loss:      term of the energy budget to which `act` of a `SurfaceLaw` or a viscous force of a cohesion
+               model adds, see `plan.sum_units.LOSSES`
     optional:  whether a scene may omit the key: it then has no such model
     remark:    end of the description of the key
     """
@@ -988,7 +1028,13 @@ SLOTS: Mapping[str, Slot] = {
         Slot("tangential", TangentialLaw, "friction_dissipation"),
         Slot("rolling", RollingLaw, "rolling_dissipation"),
         Slot("twisting", TwistingLaw, "rolling_dissipation", optional=True),
-        Slot("cohesion", CohesionLaw, optional=True, remark=", with any normal contact model"),
+        Slot(
+            "cohesion",
+            CohesionLaw,
+            "damping_dissipation",
+            optional=True,
+            remark=", with any normal contact model",
+        ),
         Slot("heat", HeatLaw, optional=True),
     )
 }

@@ -187,6 +187,8 @@ def _undefined(model: ContactModel) -> Iterator[str]:
     """Functions and constants that the interface of the slot requires and the law does not define."""
     base = SLOTS[model.slot].base
     required = (*base.required, *(("flow", "flow_bounds") if model.law.flows else ()))
+    if base is CohesionLaw and model.law.viscous_force is not CohesionLaw.viscous_force:
+        required += CohesionLaw.required_if_viscous
     undefined = [name for name in required if getattr(model.law, name) is getattr(base, name)]
     if undefined:
         yield f"its law must define {', '.join(undefined)}, see {base.__module__}.{base.__name__}"
@@ -384,6 +386,11 @@ class ContactLaws:
     def transfers_liquid(self) -> bool:
         """Whether the cohesion model takes liquid from films on the particles."""
         return self.cohesion is not None and self.cohesion.transfers_liquid
+
+    @property
+    def has_viscous_cohesion(self) -> bool:
+        """Whether the cohesion model has a force that the velocities of the surfaces cause."""
+        return self.cohesion is not None and self.cohesion.is_viscous
 
     @property
     def range(self) -> float:

@@ -32,7 +32,7 @@ class AttachedParticles:
     Reads:   position, attached_to, attached_position, attached_normal, force, torque, walls; as
              `WallGeometry`
     Writes:  position, position_at_rebuild, velocity, velocity_synchronized, angular_velocity,
-             attached_position, attached_normal; as `Accounting.add_wall_force`
+             angular_velocity_synchronized, attached_position, attached_normal; as `Accounting.add_wall_force`
     """
 
     def __init__(self, state: State) -> None:
@@ -72,10 +72,13 @@ class AttachedParticles:
         velocity = self.geometry.velocity(w, pose, position)
         half = self.geometry.velocity_half(w, pose, position, ti.cast(velocity, self.real), dt)
         self.particles.velocity[i] = ti.cast(half, self.real)
-        if ti.static(self.features.rate_dependent):
+        if ti.static(self.features.synchronized):
             self.particles.velocity_synchronized[i] = ti.cast(velocity, self.real)
         if ti.static(self.features.rotation and self.features.moving_walls):
-            self.particles.angular_velocity[i] = ti.cast(self.walls.angular_velocity[pose, w], self.real)
+            rotation = ti.cast(self.walls.angular_velocity[pose, w], self.real)
+            self.particles.angular_velocity[i] = rotation
+            if ti.static(self.features.viscous_cohesion):
+                self.particles.angular_velocity_synchronized[i] = rotation
 
     @ti.func
     def add_to_wall(self, chunk, i, pose, dt):

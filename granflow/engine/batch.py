@@ -47,9 +47,10 @@ class BatchedContacts:
     In methods, `entry` is the index of a contact in the columns of the batch of a worker; `first` and `end`
     are the particles of the chunk, `end` exclusive.
 
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, fixed, material,
-             neighbor lists, history, in_contact, pair_constants, law_parameters, liquid_film_before,
-             collision_edges, image_offset, image_speed, and the properties that flows read
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, angular_velocity_synchronized,
+             radius, mass, fixed, material, neighbor lists, history, in_contact, pair_constants,
+             law_parameters, liquid_film_before, collision_edges, image_offset, image_speed, and the
+             properties that flows read
     Writes:  force, torque, history, in_contact, losses, boundary_work, collisions, liquid_film, flows,
              abort, abort_particle, batch of the worker
     """
@@ -78,7 +79,7 @@ class BatchedContacts:
         self.to_grid = build_to_grid(state.backend.real)
         self.loss_count = len(LOSSES)
         self.longest_time_step = state.parameter("longest_time_step")
-        self.shift = state.parameter("shift", UNIT_FORCE)
+        self.shifts = state.parameter("shift")
         self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
         self.evaluate = _build_evaluate(state)
         self.forces, self.torques, self.torques_partner = _result_columns(state.batch)
@@ -125,9 +126,7 @@ class BatchedContacts:
             self._check_overlap(i, distance_squared, contact_distance, overlap_ratio * radius_min)
             if ti.static(self.laws.acts_at_distance):
                 if not is_contact:
-                    self._attract(
-                        worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt
-                    )
+                    self._add_separated(worker, chunk, i, j, list_index, branch, first, end, pose, dt)
             elif ti.static(self.has_history):
                 if self.neighbors.in_contact[list_index] == IN_CONTACT and not is_contact:
                     self._end_contact(chunk, list_index, i, j, dt)
@@ -149,26 +148,36 @@ class BatchedContacts:
             self.flows.add_loss(chunk, i, j, energy_lost, False)
 
     @ti.func
-    def _attract(self, worker, chunk, i, j, list_index, branch, contact_distance, first, end, pose, dt):
-        """Attraction of a pair without overlap, one at a time; ends the contact beyond the range.
+    def _add_separated(self, worker, chunk, i, j, list_index, branch, first, end, pose, dt):
+        """Force of a pair without overlap, one at a time; ends the contact beyond the range.
 
-        The force is rounded for the exact sums.
+        Force and torques are rounded for the exact sums.
         """
-        distance = ti.sqrt(branch.dot(branch))
-        if distance < contact_distance + self.pair.constants(i, j).cohesion.range:
-            overlap = ti.min(contact_distance - distance, 0.0)
-            attraction = self.contact.distant_force(chunk, i, list_index, j, overlap, dt)
-            force = self.to_grid(-attraction / distance * branch, self.shift())
+        kinematics = self.pair.separated(i, j, branch, pose)
+        if self.pair.in_range(i, j, kinematics.overlap):
+            found = self.contact.distant_force(chunk, i, list_index, j, kinematics, pose, dt)
+            force = self.to_grid(found.force, self.shifts()[UNIT_FORCE])
             added = ti.cast(force, ti.f64)
             self.sums.add(worker, i, first, 0, added)
             if j >= first and j < end:
                 self.sums.add(worker, j, first, 0, -added)
+            if ti.static(self.laws.has_viscous_cohesion):
+                self._add_torques(worker, i, j, first, end, found)
+                if ti.static(self.features.energy_budget):
+                    self.accounting.add_viscous_loss(chunk, j, found.viscous_power, dt)
             if ti.static(self.features.energy_budget and self.features.lees_edwards):
                 self.accounting.add_boundary_work(chunk, i, j, force, pose, dt)
         elif ti.static(self.has_history):
             if ti.static(self.liquid):
                 self.films.return_liquid(chunk, i, j, list_index)
             self._end_contact(chunk, list_index, i, j, dt)
+
+    @ti.func
+    def _add_torques(self, worker, i, j, first, end, found):
+        shift = self.shifts()[UNIT_TORQUE]
+        self.sums.add(worker, i, first, 3, ti.cast(self.to_grid(found.torque, shift), ti.f64))
+        if j >= first and j < end:
+            self.sums.add(worker, j, first, 3, ti.cast(self.to_grid(found.torque_partner, shift), ti.f64))
 
     # Gather
 
@@ -185,7 +194,7 @@ class BatchedContacts:
             self.batch.radius[worker, entry] = self.particles.radius[i]
             velocity_rel_half, velocity_rel = self.pair.relative_velocities(i, j, pose)
             store_vector(self.batch.velocity_rel_half, worker, entry, velocity_rel_half)
-            if ti.static(self.features.rate_dependent):
+            if ti.static(self.features.synchronized):
                 store_vector(self.batch.velocity_rel, worker, entry, velocity_rel)
             self.batch.mass[worker, entry] = self.pair.contact_mass(i)
             self.batch.mass_partner[worker, entry] = self.pair.contact_mass(j)
@@ -193,6 +202,10 @@ class BatchedContacts:
                 angular_velocities = self.pair.angular_velocities(i, j, pose)
                 store_vector(self.batch.angular_velocity, worker, entry, angular_velocities.first)
                 store_vector(self.batch.angular_velocity_partner, worker, entry, angular_velocities.partner)
+                if ti.static(self.features.viscous_cohesion):
+                    first_now, partner_now = angular_velocities.first_now, angular_velocities.partner_now
+                    store_vector(self.batch.angular_velocity_now, worker, entry, first_now)
+                    store_vector(self.batch.angular_velocity_partner_now, worker, entry, partner_now)
             self._gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
             if ti.static(self.has_flows):
                 contact = self._contact_of(worker, entry, i, j, velocity_rel, dt)
@@ -275,7 +288,7 @@ class BatchedContacts:
                 self.accounting.count_collision(chunk, list_index, j, self.pair.bodies(i, j), rate, False)
             self._store_history(worker, entry, list_index)
             if ti.static(self.features.energy_budget):
-                self._add_losses(worker, chunk, i, j, entry)
+                self._add_losses(worker, chunk, i, j, entry, dt)
                 if ti.static(self.features.lees_edwards):
                     force_on_owner = vector_of(self.forces, worker, entry)
                     self.accounting.add_boundary_work(chunk, i, j, force_on_owner, pose, dt)
@@ -289,16 +302,21 @@ class BatchedContacts:
                 self.neighbors.history[slot][list_index][k] = self.batch.history[slot][k][worker, entry]
 
     @ti.func
-    def _add_losses(self, worker, chunk, i, j, entry):
+    def _add_losses(self, worker, chunk, i, j, entry, dt):
         shares = self.list_shares(chunk, j)
         lost = ti.cast(0.0, ti.f64)
         for k, loss in ti.static(enumerate(PAIR_LOSSES)):
             value = self.batch.losses[k][worker, entry]
             add_energy(self.control.losses, chunk, loss, self.loss_count, shares, value)
             lost += ti.cast(value, ti.f64)
+        viscous_loss = ti.cast(0.0, ti.f64)
+        if ti.static(self.features.viscous_cohesion):
+            power = self.batch.viscous_power[0][worker, entry]
+            self.accounting.add_viscous_loss(chunk, j, power, dt)
+            viscous_loss = ti.cast(dt * power, ti.f64)
         if ti.static(self.has_flows):
             per_joule = ti.cast(self.high_words_per_joule(), ti.f64)
-            self.flows.add_loss(chunk, i, j, lost / per_joule, False)
+            self.flows.add_loss(chunk, i, j, lost / per_joule + viscous_loss, False)
 
 
 # Evaluate
@@ -392,6 +410,8 @@ class Columns:
             store_vector(self.batch.history[slot], worker, entry, vector)
         if ti.static(self.features.energy_budget):
             store_vector(self.batch.losses, worker, entry, per_unit[UNIT_ENERGY] * found.losses)
+            if ti.static(self.features.viscous_cohesion):
+                self.batch.viscous_power[0][worker, entry] = found.viscous_power
 
     @ti.func
     def _bodies(self, worker, entry):
@@ -419,6 +439,8 @@ class Columns:
         return ti.Struct(
             first=self._load(self.batch.angular_velocity, worker, entry, 3),
             partner=self._load(self.batch.angular_velocity_partner, worker, entry, 3),
+            first_now=self._load(self.batch.angular_velocity_now, worker, entry, 3),
+            partner_now=self._load(self.batch.angular_velocity_partner_now, worker, entry, 3),
         )
 
     @ti.func

@@ -194,7 +194,7 @@ class ParticleWrap:
                 self.add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
             if ti.static(self.box.sheared):
                 self.particles.velocity[i] = self.particles.velocity[i] - velocity_shift
-                if ti.static(self.features.rate_dependent):
+                if ti.static(self.features.synchronized):
                     self.particles.velocity_synchronized[i] = (
                         self.particles.velocity_synchronized[i] - velocity_shift
                     )

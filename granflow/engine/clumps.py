@@ -39,7 +39,7 @@ class ClumpMotion:
     Reads:   force, torque, position, clump, clump_size, clump_offset, clump_mass, clump_inertia, index_of_id,
              orientation, image_offset
     Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
-             velocity_synchronized, angular_velocity, boundary_work
+             velocity_synchronized, angular_velocity, angular_velocity_synchronized, boundary_work
     """
 
     def __init__(self, state: State) -> None:
@@ -81,11 +81,13 @@ class ClumpMotion:
         self.particles.angular_velocity[i] = ti.cast(
             angular_velocity_of(rotation_half, momentum, inertia), self.real
         )
-        if ti.static(self.features.rate_dependent):
+        if ti.static(self.features.synchronized):
             spin = angular_velocity_of(rotation_new, momentum + 0.5 * exact_dt * torque, inertia)
             self.particles.velocity_synchronized[i] = ti.cast(
                 velocity + 0.5 * kick + spin.cross(arm), self.real
             )
+            if ti.static(self.features.viscous_cohesion):
+                self.particles.angular_velocity_synchronized[i] = ti.cast(spin, self.real)
         self._set_position(chunk, i, exact_dt * velocity, arm, displacement, pose, dt)
         return displacement
 

@@ -32,10 +32,12 @@ from granflow.engine.walls import Faces, WallGeometry
 from granflow.engine.wear import FaceWear
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
+    LOSS_VISCOUS,
     LOSS_WALL_WORK,
     LOSSES,
     UNIT_ENERGY,
     UNIT_FORCE,
+    terms_ahead,
 )
 
 
@@ -44,10 +46,10 @@ class Contact:
 
     with_wall:  True for walls (j < 0), False for particles
 
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, fixed, material,
-             history, in_contact, neighbor lists, walls, mesh, pair_constants, law_parameters,
-             liquid_film_before, collision_edges, and the properties that flows read
-    Writes:  history, in_contact, losses, wall_work_ahead, boundary_work, impulses, collisions, wall_force,
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, angular_velocity_synchronized,
+             radius, mass, fixed, material, history, in_contact, neighbor lists, walls, mesh, pair_constants,
+             law_parameters, liquid_film_before, collision_edges, and the properties that flows read
+    Writes:  history, in_contact, losses, losses_ahead, boundary_work, impulses, collisions, wall_force,
              wear, liquid_film, sums of flows, abort, abort_particle
     """
 
@@ -113,17 +115,14 @@ class Contact:
             if ti.static(self.has_flows):
                 touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))
                 self.flows.add(chunk, i, j, constants, touching, self.with_wall)
-                lost = ti.cast(0.0, ti.f64)
-                for k in ti.static(range(len(PAIR_LOSSES))):
-                    lost += ti.cast(found.losses[k], ti.f64)
-                self.flows.add_loss(chunk, i, j, lost, self.with_wall)
+                self._add_loss_heat(chunk, i, j, found, dt)
         elif self.pair.in_range(i, j, kinematics.overlap):
             if ti.static(self.laws.acts_at_distance):
                 if ti.static(self.transfers):
                     self.transfer.acquire(i, list_index, j, pose)
-                attraction = self.distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
-                force = -attraction * kinematics.normal
-                found = ti.Struct(force=force, torque=0.0 * force, losses=no_losses(0.0 * attraction))
+                found = self.distant_force(chunk, i, list_index, j, kinematics, pose, dt)
+                force = found.force
+                torque = found.torque
                 self._account(chunk, i, j, pose, kinematics.normal, found, dt)
         else:
             energy_lost = 0.0 * dt
@@ -155,20 +154,40 @@ class Contact:
             self.accounting.add_particle_contact(chunk, i, j, pose, found, dt)
 
     @ti.func
-    def distant_force(self, chunk, i, list_index, j, overlap, dt):
-        """Attraction [N] of a pair without overlap, for cohesion models that act at a distance.
+    def distant_force(self, chunk, i, list_index, j, kinematics, pose, dt):
+        """Force of a pair without overlap, for cohesion models that act at a distance.
 
-        overlap:  minus the distance of the surfaces [m], above minus the range
+        kinematics:  without overlap, see `Pair.separated`, at a distance within the range
+        Returns:     struct of force, torques and losses, as of `PairForce.evaluate`
 
-        Such a pair has no normal, tangential or rolling force. The contact history of the cohesion model is
-        kept until the model ends it or the distance exceeds its range; the histories of the other models end
-        with the overlap.
+        Such a pair has no force of other models. The contact history of the cohesion model is kept until the
+        model ends it or the distance exceeds its range; the histories of the other models end with the
+        overlap.
         """
         constants = self.pair.constants(i, j)
         bodies = self.pair.bodies(i, j)
         history = self.histories.read(list_index)
-        contact = cohesive_contact(bodies, overlap, dt)
+        contact = cohesive_contact(bodies, kinematics.overlap, dt)
         attraction, history_new = self.laws.cohesion.force(constants.cohesion, contact, history.cohesion)
+        force = -attraction * kinematics.normal
+        found = ti.Struct(
+            force=force,
+            torque=0.0 * force,
+            torque_partner=0.0 * force,
+            losses=no_losses(0.0 * attraction),
+            viscous_power=0.0 * attraction,
+        )
+        if ti.static(self.laws.has_viscous_cohesion):
+            history.cohesion = history_new
+            viscous = self.pair_force.viscous_force(
+                constants, contact, history, kinematics, self.pair.angular_velocities(i, j, pose)
+            )
+            found.force += viscous.force
+            found.torque = viscous.torque
+            found.torque_partner = viscous.torque_partner
+            found.viscous_power = viscous.power
+            if ti.static(self.has_flows):
+                self._add_loss_heat(chunk, i, j, found, dt)
         energy_lost = 0.0 * dt
         is_kept = False
         if ti.static(self.keeps_bond):
@@ -184,7 +203,17 @@ class Contact:
         if not is_kept:
             energy_lost = self.histories.end(list_index, constants, bodies, dt)
         self._add_plastic_loss(chunk, i, j, energy_lost)
-        return attraction
+        return found
+
+    @ti.func
+    def _add_loss_heat(self, chunk, i, j, found, dt):
+        """Add the losses [J] of a contact in this step to the heat of its partners."""
+        lost = ti.cast(0.0, ti.f64)
+        for k in ti.static(range(len(PAIR_LOSSES))):
+            lost += ti.cast(found.losses[k], ti.f64)
+        if ti.static(self.laws.has_viscous_cohesion):
+            lost += ti.cast(dt * found.viscous_power, ti.f64)
+        self.flows.add_loss(chunk, i, j, lost, self.with_wall)
 
     @ti.func
     def _add_plastic_loss(self, chunk, i, j, energy_lost):
@@ -217,11 +246,12 @@ class Accounting:
 
         W = sum of dt/2 [F(t) . V(t - dt/2) + F(t) . V(t + dt/2)]
 
-    The second term belongs to the next step: `wall_work_ahead` holds it, and the total without it is the work
-    until t.
+    The second term belongs to the next step: `losses_ahead` holds it, and the total without it is the work
+    until t. The loss of a viscous force of the cohesion model is summed in the same way, with the present
+    power in both terms: it does not begin with a small force, as contacts do.
 
     Reads:   position, walls, image_speed, in_contact, collision_edges
-    Writes:  losses, wall_work_ahead, boundary_work, external_work, impulses, wall_force, collisions
+    Writes:  losses, losses_ahead, boundary_work, external_work, impulses, wall_force, collisions
     """
 
     def __init__(self, state: State) -> None:
@@ -242,7 +272,11 @@ class Accounting:
         self.high_words_per_joule = state.parameter("per_unit", UNIT_ENERGY)
         self.longest_time_step = state.parameter("longest_time_step")
         self.loss_count = len(LOSSES)
-        self.has_work_ahead = state.control.wall_work_ahead is not None
+        self.wall_work = LOSS_WALL_WORK
+        self.viscous_loss = LOSS_VISCOUS
+        self.terms_ahead = terms_ahead(state.plan.features)
+        self.ahead_count = len(self.terms_ahead)
+        self.has_ahead = state.control.losses_ahead is not None
         self.collision_rows = state.capacities.wall_rows
         self.energy_classes = state.capacities.energy_classes
 
@@ -251,6 +285,7 @@ class Accounting:
         """Add the losses of a contact; `found`: result of the pair force."""
         if ti.static(self.features.energy_budget):
             self._add_losses(chunk, j, found)
+            self.add_viscous_loss(chunk, j, found.viscous_power, dt)
             if ti.static(self.features.lees_edwards):
                 self.add_boundary_work(chunk, i, j, found.force, pose, dt)
 
@@ -259,6 +294,7 @@ class Accounting:
         """As `add_particle_contact`, with the work of the wall and the force on it."""
         if ti.static(self.features.energy_budget):
             self._add_losses(chunk, j, found)
+            self.add_viscous_loss(chunk, j, found.viscous_power, dt)
         self.add_wall_force(chunk, i, j, pose, normal, found, dt)
 
     @ti.func
@@ -279,15 +315,28 @@ class Accounting:
             add_energy(self.control.losses, chunk, loss, self.loss_count, shares, scale * found.losses[k])
 
     @ti.func
-    def _add_wall_work(self, chunk, i, j, pose, normal, found, dt):
+    def add_viscous_loss(self, chunk, j, power, dt):
+        """Add the loss of the viscous force of the cohesion model, of which `power` [W] is dissipated now."""
+        if ti.static(self.features.viscous_cohesion):
+            self._add_halves(chunk, j, self.viscous_loss, power, power, dt)
+
+    @ti.func
+    def _add_halves(self, chunk, j, term: ti.template(), power, power_ahead, dt):
+        """Add half a step of a power [W], and half of the next step with the power then."""
         half = 0.5 * self.high_words_per_joule() * dt
         half_ahead = 0.5 * self.high_words_per_joule() * normal_time_step(dt, self.longest_time_step())
         shares = self.list_shares(chunk, j)
-        work_ahead = half_ahead * self._wall_power(i, j, pose, pose + 1, normal, found)
-        work = half * self._wall_power(i, j, pose, pose, normal, found)
-        add_energy(self.control.losses, chunk, LOSS_WALL_WORK, self.loss_count, shares, work)
-        add_energy(self.control.losses, chunk, LOSS_WALL_WORK, self.loss_count, shares, work_ahead)
-        add_energy(self.control.wall_work_ahead, chunk, 0, 1, shares, work_ahead)
+        work_ahead = half_ahead * power_ahead
+        add_energy(self.control.losses, chunk, term, self.loss_count, shares, half * power)
+        add_energy(self.control.losses, chunk, term, self.loss_count, shares, work_ahead)
+        place = ti.static(self.terms_ahead.index(term))
+        add_energy(self.control.losses_ahead, chunk, place, self.ahead_count, shares, work_ahead)
+
+    @ti.func
+    def _add_wall_work(self, chunk, i, j, pose, normal, found, dt):
+        power_ahead = self._wall_power(i, j, pose, pose + 1, normal, found)
+        power = self._wall_power(i, j, pose, pose, normal, found)
+        self._add_halves(chunk, j, self.wall_work, power, power_ahead, dt)
 
     @ti.func
     def _wall_power(self, i, j, pose, step, normal, found):
@@ -317,10 +366,10 @@ class Accounting:
         add_energy(self.control.boundary_work, chunk, 0, 1, self.list_shares(chunk, j), work)
 
     @ti.func
-    def clear_work_ahead(self, chunk):
-        """Clear the work of the next step, before the forces at its end are added."""
-        if ti.static(self.has_work_ahead):
-            self.control.wall_work_ahead[chunk] = ti.Vector.zero(ti.i64, 2)
+    def clear_ahead(self, chunk):
+        """Clear the parts of the next step, before the forces at its end are added."""
+        if ti.static(self.has_ahead):
+            self.control.losses_ahead[chunk] = ti.Vector.zero(ti.i64, ti.static(2 * self.ahead_count))
 
     @ti.func
     def carry(self, chunk):
@@ -354,35 +403,37 @@ class Accounting:
                 ti.atomic_add(self.control.collisions[chunk % self.collision_rows, number][0], shares)
 
 
-def build_end_wall_work(state: State) -> Any:
-    """Kernel (withdraws): clear the work of the next step in all chunks, whose number may change.
+def build_end_ahead(state: State) -> Any:
+    """Kernel (withdraws): clear the parts of the next step in all chunks, whose number may change.
 
-    withdraws:  1 if there will be another force evaluation before the next step, which counts it again
+    withdraws:  1 if there will be another force evaluation before the next step, which counts them again
 
-    Writes:  wall_work_ahead, losses
+    Writes:  losses_ahead, losses
     """
     control = state.control
     chunks = state.capacities.chunks
-    high = len(LOSSES) + LOSS_WALL_WORK
+    terms = terms_ahead(state.plan.features)
+    ahead_count = len(terms)
+    # the low words of all terms precede the high words
+    words = [(term, place) for place, term in enumerate(terms)]
+    words += [(len(LOSSES) + term, ahead_count + place) for term, place in words]
 
     @ti.func
     def end(chunk, withdraws):
         if withdraws == 1:
-            control.losses[chunk][LOSS_WALL_WORK] = (
-                control.losses[chunk][LOSS_WALL_WORK] - control.wall_work_ahead[chunk][0]
-            )
-            control.losses[chunk][high] = control.losses[chunk][high] - control.wall_work_ahead[chunk][1]
-        control.wall_work_ahead[chunk] = ti.Vector.zero(ti.i64, 2)
+            for word, ahead in ti.static(words):
+                control.losses[chunk][word] = control.losses[chunk][word] - control.losses_ahead[chunk][ahead]
+        control.losses_ahead[chunk] = ti.Vector.zero(ti.i64, 2 * ahead_count)
 
     threads = thread_count(chunks)
     end_each = build_tasks_of_thread(end, chunks)
 
     @ti.kernel
-    def end_wall_work(withdraws: ti.i32):
+    def end_ahead(withdraws: ti.i32):
         for thread in range(threads):
             end_each(thread, chunks, withdraws)
 
-    return end_wall_work
+    return end_ahead
 
 
 def collision_counts(state: State) -> dict[str, np.ndarray]:

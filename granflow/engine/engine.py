@@ -216,7 +216,12 @@ class Engine:
             for name in ("velocity", "clump_velocity"):
                 if name in arrays:
                     arrays[name] = arrays[name] - velocity_gain
-        self._append(arrays | {"velocity_synchronized": arrays["velocity"]})
+        synchronized = {
+            f"{name}_synchronized": arrays[name]
+            for name in ("velocity", "angular_velocity")
+            if name in arrays
+        }
+        self._append(arrays | synchronized)
 
     def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Append particles on the device, see `append_particles`."""

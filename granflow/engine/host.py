@@ -507,8 +507,9 @@ def write_particles(state: State, indices: np.ndarray, arrays: Mapping[str, np.n
     arrays:   arrays (k,) or (k, 3) by field; velocities are at the time of the positions
     """
     values = dict(arrays)
-    if "velocity" in values and state.particles.velocity_synchronized is not None:
-        values["velocity_synchronized"] = values["velocity"]
+    for name in ("velocity", "angular_velocity"):
+        if name in arrays and getattr(state.particles, f"{name}_synchronized") is not None:
+            values[f"{name}_synchronized"] = arrays[name]
     state.built(particle_table, tuple(values)).put(indices, values)
 
 

@@ -40,9 +40,9 @@ class Pair:
     with_wall:  True for walls, False for particles; there are two objects, so that the loops contain no
                 branch between the two kinds of partner
 
-    Reads:  position, velocity, velocity_synchronized, angular_velocity, radius, mass, fixed, clump_mass,
-            material of particles and walls, walls, image_offset, image_speed, pair_constants,
-            law_parameters
+    Reads:  position, velocity, velocity_synchronized, angular_velocity, angular_velocity_synchronized,
+            radius, mass, fixed, clump_mass, material of particles and walls, walls, image_offset,
+            image_speed, pair_constants, law_parameters
     """
 
     def __init__(self, state: State, with_wall: bool) -> None:
@@ -69,19 +69,32 @@ class Pair:
     def _particle_kinematics(self, i, j, pose, dt):
         """`kinematics` of a candidate pair, as of `sphere_kinematics`.
 
-        Without contact, the overlap is not above 0, and only models that act at a distance get its value and
-        the normal.
+        Without contact, the overlap is not above 0, and only models that act at a distance get its value, see
+        `separated`.
         """
+        radius = self.particles.radius[i]
+        found = no_contact(-radius, self.particles.velocity[i])
+        branch = self.branch(self.particles.position[i], j, pose)
+        if self.overlaps(branch.dot(branch), radius + self.particles.radius[j]):
+            found = self.spheres(i, j, branch, pose, dt)
+        elif ti.static(self.acts_at_distance):
+            found = self.separated(i, j, branch, pose)
+        return found
+
+    @ti.func
+    def separated(self, i, j, branch, pose):
+        """Kinematics of two particles without overlap, for models that act at a distance: minus the distance
+        of the surfaces, the normal, and for viscous forces the velocity now and the lever arms."""
         radius = self.particles.radius[i]
         radius_partner = self.particles.radius[j]
         found = no_contact(-radius, self.particles.velocity[i])
-        branch = self.branch(self.particles.position[i], j, pose)
-        if self.overlaps(branch.dot(branch), radius + radius_partner):
-            found = self.spheres(i, j, branch, pose, dt)
-        elif ti.static(self.acts_at_distance):
-            distance = ti.sqrt(branch.dot(branch))
-            found.overlap = ti.min(radius + radius_partner - distance, 0.0)
-            found.normal = 1.0 / distance * branch
+        distance = ti.sqrt(branch.dot(branch))
+        found.overlap = ti.min(radius + radius_partner - distance, 0.0)
+        found.normal = 1.0 / distance * branch
+        if ti.static(self.features.viscous_cohesion):
+            _half, found.velocity_rel = self.relative_velocities(i, j, pose)
+            found.arm = radius - 0.5 * found.overlap
+            found.arm_partner = radius_partner - 0.5 * found.overlap
         return found
 
     @ti.func
@@ -109,7 +122,7 @@ class Pair:
         image_velocity = self.box.image_velocity(i, j, pose)
         half = self.particles.velocity[i] - self.particles.velocity[j] - image_velocity
         now = half
-        if ti.static(self.features.rate_dependent):
+        if ti.static(self.features.synchronized):
             now = (
                 self.particles.velocity_synchronized[i]
                 - self.particles.velocity_synchronized[j]
@@ -139,6 +152,16 @@ class Pair:
         found.arm = radius - 0.5 * found.overlap
         if ti.static(self.acts_at_distance):
             found.normal = ti.cast(direction, self.real)
+        if ti.static(self.features.viscous_cohesion):
+            if self.in_range(i, j, found.overlap):
+                wall_velocity_now = self.geometry.velocity(
+                    face, pose, self.particles.position[i] - found.arm * direction
+                )
+                found.velocity_rel = self.particles.velocity_synchronized[i] - ti.cast(
+                    wall_velocity_now, self.real
+                )
+                if ti.static(self.features.surface_velocity):
+                    found.velocity_rel -= self.geometry.surface_velocity(face, pose, direction)
         if found.overlap > 0.0:
             position = self.particles.position[i]
             velocity = self.particles.velocity[i]
@@ -165,7 +188,8 @@ class Pair:
 
     @ti.func
     def angular_velocities(self, i, j, pose):
-        """Struct of the angular velocities [rad/s] of i, `first`, and of its partner."""
+        """Struct of the angular velocities [rad/s] of i, `first`, and of its partner, at the half step; for a
+        viscous force of the cohesion model also `first_now` and `partner_now`."""
         first = 0.0 * self.particles.velocity[i]
         partner = 0.0 * self.particles.velocity[i]
         if ti.static(self.features.rotation):
@@ -174,7 +198,13 @@ class Pair:
             partner = self.particles.angular_velocity[j]
         elif ti.static(self.features.rotation and self.features.moving_walls):
             partner = ti.cast(self.walls.angular_velocity[pose, self.wall_of(j)], self.real)
-        return ti.Struct(first=first, partner=partner)
+        first_now = first
+        partner_now = partner
+        if ti.static(self.features.viscous_cohesion):
+            first_now = self.particles.angular_velocity_synchronized[i]
+            if ti.static(not self.with_wall):
+                partner_now = self.particles.angular_velocity_synchronized[j]
+        return ti.Struct(first=first, partner=partner, first_now=first_now, partner_now=partner_now)
 
     @ti.func
     def bodies(self, i, j):
@@ -238,9 +268,9 @@ def sphere_kinematics(
 
     Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half
     step and now [m/s], dt [s], and whether a model has a dashpot. Returns a struct of overlap [m]; normal n;
-    normal_half p, see `contact/law.py`; relative velocity at the half step [m/s]; overlap rate at the half
-    step and now [m/s] (positive if approaching); and the lever arms of both, now and at the half step [m]:
-    the contact point halves the overlap.
+    normal_half p, see `contact/law.py`; relative velocity at the half step and now [m/s]; overlap rate at the
+    half step and now [m/s] (positive if approaching); and the lever arms of both, now and at the half step
+    [m]: the contact point halves the overlap.
 
         b(t - dt/2) = b - v dt/2    =>    p = n - dt/(2 |b|) (v - (v . n) n),    overlap rate  -v . p
 
@@ -264,6 +294,7 @@ def sphere_kinematics(
         normal=normal,
         normal_half=normal_half,
         velocity_rel_half=velocity_rel_half,
+        velocity_rel=velocity_rel,
         overlap_rate_half=-velocity_rel_half.dot(normal_half),
         overlap_rate=rate,
         arm=arm,
@@ -283,6 +314,7 @@ def no_contact(overlap, vector):
         normal=zero,
         normal_half=zero,
         velocity_rel_half=zero,
+        velocity_rel=zero,
         overlap_rate_half=nothing,
         overlap_rate=nothing,
         arm=nothing,
@@ -342,10 +374,11 @@ class PairForce:
 
     @ti.func
     def evaluate(self, constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
-        """Force and torques; angular_velocities: a struct of those of the first and the partner [rad/s].
+        """Force and torques; angular_velocities: as of `Pair.angular_velocities`.
 
         Returns a struct of the force on the first [N], the torques on both [N m], the history, and the
-        losses: a vector of the energies [J] dissipated in this step, in the order of PAIR_LOSSES.
+        losses: a vector of the energies [J] dissipated in this step, in the order of PAIR_LOSSES. The power
+        [W] that the viscous force of the cohesion model dissipates is a further member.
         """
         contact = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step))
         normal_force, load, viscous, history_new = self.normal_force(constants, contact, history)
@@ -354,6 +387,13 @@ class PairForce:
         torque_partner = 0.0 * force
         losses = no_losses(0.0 * load)
         losses[self.damping] = viscous * kinematics.overlap_rate * dt
+        viscous_power = 0.0 * load
+        if ti.static(self.laws.has_viscous_cohesion):
+            liquid = self.viscous_force(constants, contact, history_new, kinematics, angular_velocities)
+            force += liquid.force
+            torque += liquid.torque
+            torque_partner += liquid.torque_partner
+            viscous_power = liquid.power
         if ti.static(self.rotation):
             surface = self._surface_contact(
                 constants,
@@ -380,6 +420,42 @@ class PairForce:
             torque_partner=torque_partner,
             history=history_new,
             losses=losses,
+            viscous_power=viscous_power,
+        )
+
+    @ti.func
+    def viscous_force(self, constants, contact, history, kinematics, angular_velocities):
+        """Viscous force of the cohesion model, of surfaces that touch or are separated: a struct of force and
+        torques as of `evaluate`, the normal component [N], and the dissipated power [W].
+
+        contact:  as of the normal model
+        history:  after the force of the cohesion model
+        """
+        normal = kinematics.normal
+        rotation = (
+            kinematics.arm * angular_velocities.first_now
+            + kinematics.arm_partner * angular_velocities.partner_now
+        )
+        approach = -kinematics.velocity_rel.dot(normal)
+        slip_rate = kinematics.velocity_rel + approach * normal - rotation.cross(normal)
+        surfaces = ti.Struct(
+            radius_eff=contact.radius_eff,
+            mass_eff=contact.mass_eff,
+            time_step=contact.time_step,
+            overlap=contact.overlap,
+            overlap_rate=approach,
+            slip_rate=slip_rate,
+        )
+        normal_force, tangential_force = self.laws.cohesion.viscous_force(
+            constants.cohesion, surfaces, history.cohesion
+        )
+        moment = normal.cross(tangential_force)
+        return ti.Struct(
+            force=normal_force * normal + tangential_force,
+            torque=-kinematics.arm * moment,
+            torque_partner=-kinematics.arm_partner * moment,
+            normal_force=normal_force,
+            power=normal_force * approach - tangential_force.dot(slip_rate),
         )
 
     @ti.func

@@ -518,12 +518,15 @@ class PairBatch:
         self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
         self.branch = columns(3)
         self.velocity_rel_half = columns(3)
-        self.velocity_rel = columns(3 * features.rate_dependent)
+        self.velocity_rel = columns(3 * features.synchronized)
         self.angular_velocity = columns(3 * features.rotation)
         self.angular_velocity_partner = columns(3 * features.rotation)
+        self.angular_velocity_now = columns(3 * features.viscous_cohesion)
+        self.angular_velocity_partner_now = columns(3 * features.viscous_cohesion)
         self.history = {slot: columns(size) for slot, size in plan.history.items()}
         self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
         self.losses = columns(3 * features.energy_budget)
+        self.viscous_power = columns(features.energy_budget and features.viscous_cohesion)
         size = 6 if features.rotation else 3
         workers = rounded_capacity(backend.worker_count, WORKERS)
         self.sums = None
@@ -616,8 +619,8 @@ class Control(Fields):
     wall_flows_ahead:           part of them that belongs to the next step
     wear:                       worn volume and works of each worn face, see `engine.wear`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
-    wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step,
-                                see `engine.contact`
+    losses_ahead:               part of the terms `sum_units.terms_ahead` of each chunk that belongs to the
+                                next step, see `engine.contact`
     boundary_work:              work at periodic boundaries of each chunk, see `engine.sums`
     external_work:              work of external forces of each chunk, see `engine.sums`
     force_parameters:           parameters of all external forces

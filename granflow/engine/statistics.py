@@ -171,21 +171,29 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     histories = state.built(ContactHistory)
     pair_force = PairForce(state.plan.laws, state.plan.features.rotation, False)
     numbers = output.numbers
+    laws = state.plan.laws
 
     @ti.kernel
     def evaluate(count: ti.i32, pose: ti.i32, dt: real):
         for i in range(count):
             for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                 j = neighbors.partner[list_index]
-                normal, contact = contacts.kinematics(i, j, pose, dt)
+                kinematics = contacts.kinematics(i, j, pose, dt)
+                normal = kinematics.normal
+                contact = normal_contact(contacts.bodies(i, j), kinematics, dt)
                 numbers[list_index][OVERLAP] = contact.overlap
                 if contact.overlap > 0.0:
                     constants = contacts.constants(i, j)
                     history = histories.read(list_index)
-                    normal_force, load, _viscous, _new = pair_force.normal_force(constants, contact, history)
+                    normal_force, load, _viscous, new = pair_force.normal_force(constants, contact, history)
                     tangential, size, limit = contacts.surface_forces(
                         constants, contact, load, history, particles.velocity[i]
                     )
+                    if ti.static(laws.has_viscous_cohesion):
+                        rotations = contacts.angular_velocities(i, j, pose)
+                        liquid = pair_force.viscous_force(constants, contact, new, kinematics, rotations)
+                        normal_force += liquid.normal_force
+                        tangential += liquid.force - liquid.normal_force * normal
                     numbers[list_index][NORMAL] = normal_force
                     numbers[list_index][TANGENTIAL] = size
                     numbers[list_index][LIMIT] = limit
@@ -293,7 +301,9 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                         found[FILMS] += to_units(SHARES * particles.liquid_film[i] / liquid_unit())
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
-                        _normal, contact = contacts.kinematics(i, j, pose, dt)
+                        contact = normal_contact(
+                            contacts.bodies(i, j), contacts.kinematics(i, j, pose, dt), dt
+                        )
                         shares = list_shares(chunk, j)
                         if ti.static(liquid):
                             bridge = cohesion_history[list_index][0] / liquid_unit()
@@ -491,14 +501,21 @@ class AnyContact:
 
     @ti.func
     def kinematics(self, i, j, pose, dt):
-        """The normal, and the struct `contact` of the contact models."""
-        bodies = self.bodies(i, j)
-        found = no_contact(0.0 * bodies.radius_eff, self.particles.velocity[i])
+        """Kinematics, as of `Pair`."""
+        found = no_contact(0.0 * self.particles.radius[i], self.particles.velocity[i])
         if j >= 0:
             found = self.pair.kinematics(i, j, pose, dt)
         elif ti.static(self.has_walls):
             found = self.wall_pair.kinematics(i, j, pose, dt)
-        return found.normal, normal_contact(bodies, found, dt)
+        return found
+
+    @ti.func
+    def angular_velocities(self, i, j, pose):
+        """Angular velocities, as of `Pair`."""
+        found = self.wall_pair.angular_velocities(i, j, pose)
+        if j >= 0:
+            found = self.pair.angular_velocities(i, j, pose)
+        return found
 
     @ti.func
     def point(self, i, j, pose):

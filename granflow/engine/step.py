@@ -9,6 +9,8 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
 
     velocity_synchronized = v(t + dt/2) + dt F(t) / (2 m)
 
+and for viscous forces of cohesion models the angular velocity as well.
+
 Walls with a prescribed motion take the next of the poses that the host has uploaded (`walls.py`);
 force-controlled walls move by the force that the particles exerted on them (`wall_dynamics.py`), and
 particles that are attached to a wall move with it (`attached.py`). Then the forces are summed: weight, wall
@@ -80,13 +82,14 @@ LARGEST_SUM_SQUARED = 2.0 ** (2 * SUM_BITS)
 class TimeStep:
     """The phases of a step: `integrate` for each chunk, `move_walls` once, `forces` for each chunk.
 
-    Reads:   position, velocity, velocity_synchronized, angular_velocity, force, torque, mass, radius, fixed,
-             attached_to, clump, external_force, position_at_rebuild, reach, neighbor lists, history,
-             in_contact, walls; as `AttachedParticles`, `ClumpMotion`, `ForceControlledWalls`,
-             `ParticleWrap`, `Contact`, `BatchedContacts`, `ExternalForces`, `Damping` and `Flows`
-    Writes:  position, velocity, velocity_synchronized, angular_velocity, force, torque, rebuild_requested,
-             abort, abort_particle; as these, `Accounting`, `WallImpulses`, `LiquidFilms` and
-             `VelocitySum`
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, angular_velocity_synchronized,
+             force, torque, mass, radius, fixed, attached_to, clump, external_force, position_at_rebuild,
+             reach, neighbor lists, history, in_contact, walls; as `AttachedParticles`, `ClumpMotion`,
+             `ForceControlledWalls`, `ParticleWrap`, `Contact`, `BatchedContacts`, `ExternalForces`,
+             `Damping` and `Flows`
+    Writes:  position, velocity, velocity_synchronized, angular_velocity, angular_velocity_synchronized,
+             force, torque, rebuild_requested, abort, abort_particle; as these, `Accounting`, `WallImpulses`,
+             `LiquidFilms` and `VelocitySum`
     """
 
     def __init__(self, state: State) -> None:
@@ -176,7 +179,7 @@ class TimeStep:
         kick = self.particles.mobility(i) * dt / mass * force
         velocity = self.velocity_sum.changed(i, kick)
         self.particles.velocity[i] = velocity
-        if ti.static(self.features.rate_dependent):
+        if ti.static(self.features.synchronized):
             self.particles.velocity_synchronized[i] = velocity + 0.5 * kick
         if ti.static(self.features.external_forces and self.features.energy_budget):
             self.external_forces.add_work(chunk, i, self.particles.external_force[i], velocity, dt)
@@ -186,7 +189,10 @@ class TimeStep:
         if ti.static(self.features.rotation):  # a sphere needs no orientation and no gyroscopic term
             inertia = sphere_inertia(mass, self.particles.radius[i])
             kick_of_rotation = self.particles.mobility(i) * dt / inertia * self.particles.torque[i]
-            self.particles.angular_velocity[i] = self.rotation_sum.changed(i, kick_of_rotation)
+            angular_velocity = self.rotation_sum.changed(i, kick_of_rotation)
+            self.particles.angular_velocity[i] = angular_velocity
+            if ti.static(self.features.viscous_cohesion):
+                self.particles.angular_velocity_synchronized[i] = angular_velocity + 0.5 * kick_of_rotation
         if ti.static(self.counts_damping):
             self.damping.add_loss(chunk, i, dt)
         if ti.static(self.attaches):
@@ -273,7 +279,7 @@ class TimeStep:
         gravity = ti.cast(self.gravity(), self.real)
         first = chunk * size
         end = ti.min((chunk + 1) * size, count)
-        self.accounting.clear_work_ahead(chunk)
+        self.accounting.clear_ahead(chunk)
         if ti.static(self.force_controlled):
             self.controlled_walls.clear(chunk)
         for i in range(first, end):

@@ -15,7 +15,7 @@ import numpy as np
 from granflow.engine.attached import attach
 from granflow.engine.backend import free_device_memory
 from granflow.engine.codes import ABORT_OVERLAP, NOT_HALTED, PHASE_FORCES
-from granflow.engine.contact import build_end_wall_work
+from granflow.engine.contact import build_end_ahead
 from granflow.engine.flows import build_withdraw
 from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
 from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
@@ -87,7 +87,7 @@ class Stepper:
         began = clock.perf_counter()
         compiled = self.timing.compile
         self._prepare_workers()
-        self._end_wall_work(withdraws=False)
+        self._end_ahead(withdraws=False)
         self._rebuild.run(pose, self._workers.count)
         self.steps_since_rebuild = 0
         self.clock_at_rebuild = self.state.clock.state_dict() | {"step_count": step}
@@ -153,7 +153,7 @@ class Stepper:
         change.
         """
         pose = self.poses.index_at(step)
-        self._end_wall_work(withdraws=True)
+        self._end_ahead(withdraws=True)
         if self.state.control.wall_flows is not None:
             self.state.built(build_withdraw)()
         self.rebuild_neighbor_lists(step, pose)
@@ -170,10 +170,10 @@ class Stepper:
         if self.state.control.force_clock is not None:
             write_force_inputs(self.state, step, velocities_lag)
 
-    def _end_wall_work(self, withdraws: bool) -> None:
-        """Clear the work of moving walls that belongs to the next step, see `build_end_wall_work`."""
-        if self.state.control.wall_work_ahead is not None:
-            self.state.built(build_end_wall_work)(int(withdraws))
+    def _end_ahead(self, withdraws: bool) -> None:
+        """Clear the parts of losses and work that belong to the next step, see `build_end_ahead`."""
+        if self.state.control.losses_ahead is not None:
+            self.state.built(build_end_ahead)(int(withdraws))
 
     def advance(self, steps: int, step: int) -> int:
         """Take `steps` steps after step number `step`; returns the number of completed steps.

@@ -29,7 +29,7 @@ from granflow.engine.wall_dynamics import controlled_displacements, controlled_t
 from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES
+from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES, terms_ahead
 from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.outlets import outlet_of
 from granflow.snapshot import WallPose
@@ -247,9 +247,10 @@ def energy_budget_totals(
     losses = dict(zip(LOSSES, exact_totals(words, unit).tolist(), strict=True))
     losses["plastic_dissipation"] += measured["plastic_dissipation"]
     losses["wall_work"] += controlled_work(state)
-    if state.control.wall_work_ahead is not None:
-        ahead = state.ranks.total(chunk_words(state, state.control.wall_work_ahead))
-        losses["wall_work"] -= float(exact_totals(ahead, unit)[0])
+    if state.control.losses_ahead is not None:
+        ahead = exact_totals(state.ranks.total(chunk_words(state, state.control.losses_ahead)), unit)
+        for term, value in zip(terms_ahead(state.plan.features), ahead.tolist(), strict=True):
+            losses[LOSSES[term]] -= value
     sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
     other_works = {
         name: float(exact_totals(state.ranks.total(chunk_words(state, each)), unit)[0])

@@ -30,6 +30,7 @@ from granflow.plan.sum_units import (
     UNIT_TORQUE,
     UNIT_WALL_FORCE,
     WEAR_SIZE,
+    terms_ahead,
 )
 from granflow.plan.wall_control import ControlledMotion
 from granflow.scene.blocks.run import Precision
@@ -191,7 +192,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     givers = (wall_rows, plan.capacities.walls + FURTHER_GIVERS)
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
-    has_wall_work = energy_budget and plan.features.moving_walls
+    ahead = terms_ahead(plan.features)
 
     def sums(name: str, shape: tuple[int, ...], terms: int, wanted: bool) -> DeviceArray:
         return DeviceArray(name, "i64", shape, 2 * terms, wanted=wanted, saved=True, by_chunk=True)
@@ -199,7 +200,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     return [
         sums("losses", (chunks,), len(LOSSES), energy_budget),
         sums("impulses", (wall_rows, measured), IMPULSE_SIZE, measured > 0),
-        sums("wall_work_ahead", (chunks,), 1, has_wall_work),
+        sums("losses_ahead", (chunks,), len(ahead), energy_budget and len(ahead) > 0),
         sums("boundary_work", (chunks,), 1, has_image_work),
         sums("external_work", (chunks,), 1, has_external_work),
         sums("collisions", (wall_rows, classes), 1, classes > 0),

@@ -40,6 +40,7 @@ from granflow.plan.pairs import (
     pair_cases_of,
     pair_materials,
     pair_table,
+    with_resistance,
 )
 from granflow.plan.particle_equations import refuse_long_step
 from granflow.plan.plan import Plan
@@ -97,14 +98,14 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     periodic_box = scene.domain.periodic_box()
     joints = joints_of(walls, radius_max, periodic_box.axes)
     mesh_walls = [walls[index].name for index in meshes_of(walls)]
-    features, reasons = features_of(scene, models, law.rate_dependent, any(joints), mesh_walls)
+    features, reasons = features_of(scene, models, laws, any(joints), mesh_walls)
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
     refuse_coarse_liquid(scene, features.liquid_transfer)
     refuse_coarse_properties(scene)
 
     # The time step of the stiffest possible contact, and what moves in one step.
-    pair_cases = pair_cases_of(scene, groups, pairs)
+    pair_cases = with_resistance(laws, pair_cases_of(scene, groups, pairs))
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
     refuse_fast_motion(scene, walls, step.value)

@@ -100,6 +100,13 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         f"{step.stable_below:.4g} s",
         f"{step.stable_limit} at {impact_velocity.value:.3g} m/s",
     )
+    if plan.laws.has_viscous_cohesion:
+        limit, name = min((each.viscous_step, each.name) for each in plan.pair_cases)
+        yield ExplainRow(
+            "limit of viscous force",
+            f"{limit:.4g} s",
+            f"up to which that of the cohesion model is stable, {name}",
+        )
     for equation in plan.scene.equations:
         yield ExplainRow(
             f"limit of {equation.name}",

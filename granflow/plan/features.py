@@ -11,6 +11,7 @@ from typing import Any
 
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel
+from granflow.contact.registry import ContactLaws
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
 from granflow.scene.blocks.run import Damping
@@ -50,6 +51,8 @@ class Features:
     clumps: bool = False
     liquid_transfer: bool = False
     """Whether the cohesion model takes liquid from films on the particles."""
+    viscous_cohesion: bool = False
+    """Whether the cohesion model has a viscous force."""
     velocity_remainders: bool = False
     """Whether velocities in float32 keep what rounding takes from their changes."""
     flows: tuple[str, ...] = ()
@@ -65,6 +68,11 @@ class Features:
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
+    @property
+    def synchronized(self) -> bool:
+        """Whether forces depend on velocities at the time of the positions."""
+        return self.rate_dependent or self.viscous_cohesion
+
 
 @dataclass(frozen=True)
 class Reason:
@@ -78,17 +86,16 @@ class Reason:
 def features_of(
     scene: Scene,
     models: Mapping[str, ContactModel],
-    law_is_damped: bool,
+    laws: ContactLaws,
     has_joined_walls: bool,
     mesh_walls: Sequence[str],
 ) -> tuple[Features, tuple[Reason, ...]]:
     """All features of the scene, and the reasons of all of them and of the contact models but the normal one.
 
-    `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous
-    term, so that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may
-    touch; `mesh_walls`: names of the walls with a mesh.
+    `models`, `laws`: active contact models by slot, and their laws; `has_joined_walls`: whether surfaces of
+    walls may touch; `mesh_walls`: names of the walls with a mesh.
     """
-    rows = list(_rows(scene, models, law_is_damped, has_joined_walls, mesh_walls))
+    rows = list(_rows(scene, models, laws, has_joined_walls, mesh_walls))
     names = {each.name for each in fields(Features)}
     values: dict[str, Any] = {name: value for name, value, _ in rows if name in names}
     reasons = tuple(Reason(name, _setting(value), why) for name, value, why in rows)
@@ -107,7 +114,7 @@ def _setting(value: bool | str | tuple[str, ...]) -> str:
 def _rows(
     scene: Scene,
     models: Mapping[str, ContactModel],
-    law_is_damped: bool,
+    laws: ContactLaws,
     has_joined_walls: bool,
     mesh_walls: Sequence[str],
 ) -> Iterator[tuple[str, bool | str | tuple[str, ...], str]]:
@@ -125,12 +132,17 @@ def _rows(
         why = "required by clumps"
     elif has_torques:
         why = "required by friction, rolling friction or twisting friction"
+    elif laws.has_viscous_cohesion:
+        why = "required by the viscous force of the cohesion model"
     else:
         why = "no torques: every pair has friction and rolling friction 0"
-    yield "rotation", rotating or has_torques, why
-    yield "rate_dependent", law_is_damped, _rate_reason(scene, law_is_damped)
+    yield "rotation", rotating or has_torques or laws.has_viscous_cohesion, why
+    yield "rate_dependent", laws.normal.rate_dependent, _rate_reason(scene, laws.normal.rate_dependent)
     cohesion = models["cohesion"].name if "cohesion" in models else "none"
     yield _model_row(scene, models, "cohesion")
+    if laws.has_viscous_cohesion:
+        place = where("contact", "cohesion")
+        yield "viscous_cohesion", True, f"{cohesion} with these settings has a viscous force ({place})"
 
     # Walls.
     yield (

@@ -48,6 +48,9 @@ class PairCase:
     mass_ratio: float = 1.0
     """Largest mass of a clump over that of its sphere: dashpots have the former, motion at least the
     latter."""
+    resistance: tuple[float, float] = (0.0, 0.0)
+    """Largest ratios of the viscous force of the cohesion model to the velocity, normal and tangential [N
+    s/m]."""
 
     @property
     def dashpot_arguments(self) -> tuple[PairMaterial, float, float]:
@@ -98,16 +101,29 @@ class PairCase:
         normal_modes = min(count, NORMAL_MODES)
         tangential_modes = min(2.5 * count + 1.0, SLIDING_MODES)
         tangential = self._tangential_stiffness(law, velocity)
+        normal_resistance, tangential_resistance = self.resistance
         viscosity = law.viscosity(*self.dashpot_arguments, velocity)
+        viscosity += normal_resistance + 2.0 * tangential_resistance
         margin = 4.0 - normal_modes * law.unloading_number(self.pair)
         steps = (
             _largest_step(
                 law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0
             ),
             _largest_step(2.0 * tangential, viscosity, mass / normal_modes, margin),
-            _largest_step(tangential, 0.0, mass / tangential_modes, 4.0),
+            _largest_step(tangential, tangential_resistance, mass / tangential_modes, 4.0),
         )
         return STABLE_SHARE * min(steps)
+
+    @property
+    def viscous_step(self) -> float:
+        """Time step [s] below which the viscous force of the cohesion model alone is stable, as in
+        `stable_step`; infinite without one."""
+        count = min(self.contact_count, MAX_CONTACTS)
+        normal, tangential = self.resistance
+        return STABLE_SHARE * min(
+            _largest_step(0.0, normal + 2.0 * tangential, self.mass_eff / min(count, NORMAL_MODES), 4.0),
+            _largest_step(0.0, tangential, self.mass_eff / min(2.5 * count + 1.0, SLIDING_MODES), 4.0),
+        )
 
     def _tangential_stiffness(self, law: NormalLaw, velocity: float) -> float:
         """Tangential stiffness Kt [N/m] of a contact at an impact velocity [m/s]; 0 without friction."""

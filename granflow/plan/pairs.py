@@ -84,6 +84,14 @@ def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
     return max(law.equivalent_velocity(case.pair, case.radius_eff, case.mass_eff) for case in cases)
 
 
+def with_resistance(laws: ContactLaws, cases: tuple[PairCase, ...]) -> tuple[PairCase, ...]:
+    """The contacts with the largest resistances of the viscous force of the cohesion model."""
+    law = laws.cohesion
+    if law is None or not law.is_viscous:
+        return cases
+    return tuple(replace(case, resistance=law.resistance(case.pair, case.radius_eff)) for case in cases)
+
+
 def pair_materials(scene: Scene, models: Mapping[str, ContactModel]) -> dict[tuple[str, str], PairMaterial]:
     """Mixed constants of each two materials that can come into contact, by their names in either order."""
     found = {}
@@ -175,7 +183,10 @@ def pair_cases_of(scene: Scene, groups: Sequence[SceneGroup], pairs: PairMateria
         group = groups[0]
         own = group.material
         both = (group.spec.material, group.spec.material)
-        elastic_pair = PairMaterial(modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0)
+        nothing = dict.fromkeys(registry.pair_properties(), 0.0)
+        elastic_pair = PairMaterial(
+            modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0, properties=nothing
+        )
         pair_cases.append(_pair_case(f"{group.name}-{group.name}", both, elastic_pair, group, group))
     contacts = max(sum(group.spec.count for group in groups) + len(scene.walls) - 1, 1)
     return tuple(replace(pair_case, contact_count=contacts) for pair_case in pair_cases)

@@ -9,11 +9,11 @@ particles in contact can have, and the overlap d = L R, is
 
     F = max[(4/3) E* sqrt(R) d^1.5,  k d + c v]        over all contacts that can occur, at least W
 
-with k and c the tangent stiffness during loading and the viscosity of the normal model at the planned
-velocity v, and W the weight of the heaviest sphere, which the sums contain: a large sphere among small ones
-is heavier than the largest force of a contact. With F rounded up to a power of two, the unit of a force is
-F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also exact if their terms are in f32, of which
-those above 2^-23 F are multiples of half a unit.
+with k and c the tangent stiffness during loading and the viscosity of the normal and the cohesion model at
+the planned velocity v, and W the weight of the heaviest sphere, which the sums contain: a large sphere among
+small ones is heavier than the largest force of a contact. With F rounded up to a power of two, the unit of a
+force is F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also exact if their terms are in f32, of
+which those above 2^-23 F are multiples of half a unit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,10 +22,11 @@ from math import ceil, log2
 
 import numpy as np
 
-from granflow.contact.law import FlowCase, NormalLaw
+from granflow.contact.law import SLOTS, FlowCase, NormalLaw
 from granflow.contact.registry import ContactLaws
 from granflow.geometry.sphere import sphere_volume
 from granflow.particles.group import SceneGroup
+from granflow.plan.features import Features
 from granflow.plan.pair_case import PairCase
 
 # The quantities.
@@ -41,6 +42,16 @@ LOSSES = (
 LOSS_PLASTIC = LOSSES.index("plastic_dissipation")
 LOSS_DAMPING = LOSSES.index("damping_dissipation")
 LOSS_WALL_WORK = LOSSES.index("wall_work")
+LOSS_VISCOUS = LOSSES.index(SLOTS["cohesion"].loss)
+"""Term of the viscous force of a cohesion model."""
+
+
+def terms_ahead(features: Features) -> tuple[int, ...]:
+    """Terms of which a force evaluation counts a half for the next step, see `engine.contact.Accounting`."""
+    walls = (LOSS_WALL_WORK,) if features.moving_walls else ()
+    return (*walls, LOSS_VISCOUS) if features.viscous_cohesion else walls
+
+
 IMPULSE_SIZE = 7
 """Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
 (1)."""
@@ -125,7 +136,7 @@ def sum_units(
         hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.overlap_radius) * overlap**1.5
         stiffness = law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity)
         viscosity = law.viscosity(*case.dashpot_arguments, velocity)
-        spring = stiffness * overlap + viscosity * velocity
+        spring = stiffness * overlap + (viscosity + sum(case.resistance)) * velocity
         force = max(force, hertz, spring)
         energy = max(energy, max(hertz, spring) * overlap)
     force_scale = _power_of_two(force)

@@ -101,13 +101,18 @@ def _layer(
     area = wall.surface.area or section(scene.domain, direction)
     sphere_count = sum(group.sphere_count for group in scene.particles.values())
     in_layer = area / (2.0 * sqrt(3.0) * radius**2)
-    responses = [law.present_response(*case.dashpot_arguments, velocity, step) for case in pair_cases]
+    responses = [
+        (*law.present_response(*case.dashpot_arguments, velocity, step), case.resistance[0])
+        for case in pair_cases
+    ]
     return WallContacts(
         contact_count=max(min(sphere_count, in_layer), 1.0),
         stiffness=max(
             law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases
         ),
-        resistance=max(viscosity + 0.5 * step * stiffness for stiffness, viscosity in responses),
+        resistance=max(
+            viscosity + liquid + 0.5 * step * stiffness for stiffness, viscosity, liquid in responses
+        ),
     )
 
 

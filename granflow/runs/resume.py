@@ -127,6 +127,7 @@ def _numbers_of(plan: Plan) -> dict[str, float]:
 FEATURE_SWITCHES = (
     "rotation",
     "rate_dependent",
+    "viscous_cohesion",
     "one_material",
     "energy_budget",
     "wall_forces",

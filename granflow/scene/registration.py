@@ -84,7 +84,7 @@ def _refuse_without_source(model: ContactModel) -> None:
             raise GranflowError(f"contact model {model.law.__name__}: {error}") from None
 
 
-VECTORIZED = ("force", "torque", "limit", "tangential_stiffness", "damping", "attraction")
+VECTORIZED = ("force", "viscous_force", "torque", "limit", "tangential_stiffness", "damping", "attraction")
 """Device functions that are evaluated for many contacts at once."""
 
 

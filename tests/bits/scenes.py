@@ -124,8 +124,12 @@ def moved_walls() -> Scene:
     )  # fmt: skip
 
 
+VISCOUS = {"viscous_force": {"viscosity": 0.02, "min_separation_ratio": 0.02}}
+VISCOUS_BRIDGES = {"law": "capillary", **VISCOUS}
+
+
 def wet_clumps() -> Scene:
-    """Rods, tetrahedra and spheres with bridges of fixed volume fall into a box; rain of clumps."""
+    """Rods, tetrahedra and spheres with viscous bridges of fixed volume fall into a box; rain of clumps."""
     rng = np.random.default_rng(8)
     sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
     velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
@@ -138,7 +142,7 @@ def wet_clumps() -> Scene:
         "material": "steel", "count": 12, "clump": others["clump"], "velocity": [0.0, 0.0, -0.5],
         "insert": {"kind": "rain", "region": region, "rate": 1500.0},
     }  # fmt: skip
-    contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": "capillary"}
+    contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": VISCOUS_BRIDGES}
     return build_scene(
         {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), contact=contact,
         pair={"friction": 0.4, "restitution": 0.4, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
@@ -149,11 +153,12 @@ def wet_clumps() -> Scene:
 
 
 def sheared_films() -> Scene:
-    """Two sizes with liquid films in a Lees-Edwards box: separate grids, periodic images, bridges."""
+    """Two sizes with liquid films in a Lees-Edwards box: separate grids, periodic images, viscous bridges."""
     output = {"interval": 0.001, "checkpoint": {"interval": 4e-4, "keep": 100}}
     scene = sheared_gas(duration=0.004, sizes=(0.003, 0.0078), output=output, chunk_size=32).to_dict()
     scene["particles"]["balls"]["liquid_content"] = 0.01
-    scene["contact"] = LIQUID["contact"]
+    contact = LIQUID["contact"]
+    scene["contact"] = contact | {"cohesion": contact["cohesion"] | VISCOUS}
     scene["pairs"]["glass-glass"] = LIQUID["pair"]
     return Scene.from_dict(scene)
 
@@ -297,7 +302,7 @@ SLOW = {
     ),
     "luding": Row(
         lambda: with_models(
-            {"law": "luding", "plasticity_depth": 0.02, "tension": 0.3, **SPRING}, "epsd", "capillary", BRIDGE
+            {"law": "luding", "plasticity_depth": 0.02, "tension": 0.3, **SPRING}, "epsd", VISCOUS_BRIDGES, BRIDGE
         )
     ),
     "eepa": Row(

@@ -9,12 +9,20 @@ tension, t the contact angle. `capillary_transfer` uses the same bridges, with a
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from granflow.contact.cohesion.bond import BondLaw
+from granflow.contact.cohesion.lubrication import (
+    VISCOUS_SOURCE,
+    Lubrication,
+    ViscousOptions,
+    lubrication_force,
+)
 from granflow.contact.law import ContactModel, ContactState, ModelRequest, PairProperties, Remedy
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import ti
@@ -114,12 +122,14 @@ class Wetting(PairProperties):
 class Capillary(BondLaw):
     """Every contact has a liquid bridge of the volume of its pair."""
 
+    lubrication: Lubrication = Lubrication()
+
     name = "capillary"
-    source = SOURCE
+    source = f"{SOURCE}; {VISCOUS_SOURCE}"
     limits = (
         "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; each pair of "
-        "materials has one volume, liquid is neither shared nor lost, and the viscous force of the liquid is "
-        "neglected"
+        "materials has one volume, liquid is neither shared nor lost; a viscous force acts only if the "
+        "option is given, and only in bridges: not before first contact"
     )
     constant_names = ("tension", "volume", "distance")
     """Surface tension times cosine of the contact angle [N/m], liquid volume [m3], rupture distance [m]."""
@@ -127,7 +137,16 @@ class Capillary(BondLaw):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Capillary":
         """The law that a scene requests."""
-        return cls(max(_rupture_distance(pair) for pair in request.pairs), request.energy_budget)
+        return cls(
+            max(_rupture_distance(pair) for pair in request.pairs),
+            request.energy_budget,
+            Lubrication.of(request.options.viscous_force),
+        )
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The range, and the numbers of the viscous force."""
+        return {**super().parameters, **self.lubrication.parameters}
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`; a pair without liquid has no tension."""
@@ -151,6 +170,30 @@ class Capillary(BondLaw):
     def bond_energy(self, constants, contact):
         """Minus the work from the present distance to rupture, and the work of the overlap [J]."""
         return bridge_energy(contact, constants.tension, constants.volume, constants.distance)
+
+    @property
+    def is_viscous(self) -> bool:
+        """Whether the viscous force of the liquid acts."""
+        return self.lubrication.acts
+
+    @ti.func
+    def viscous_force(self, constants, contact, history):
+        """Viscous force [N] of the bridge."""
+        normal, tangential = lubrication_force(constants, contact)
+        wet = ti.select(constants.distance > 0.0, history.bonded, 0.0)
+        return wet * normal, wet * tangential
+
+    def resistance(self, pair: PairMaterial, radius_eff: float) -> tuple[float, float]:
+        """Largest ratios of viscous force to velocity [N s/m]; 0 for a pair without liquid."""
+        if pair.properties["liquid_volume"] == 0.0:
+            return 0.0, 0.0
+        return self.lubrication.resistance(radius_eff)
+
+    def reference_viscous_force(self, contact: ContactState) -> tuple[float, np.ndarray]:
+        """Reference implementation of `viscous_force`."""
+        normal, tangential = self.lubrication.reference(contact)
+        wet = contact.history.bonded if contact.constants.distance > 0.0 else 0.0
+        return wet * normal, wet * tangential
 
     def reference_bond(self, contact: ContactState) -> tuple[float, float]:
         """Attraction and rupture distance."""
@@ -183,5 +226,6 @@ class LiquidBridges(Wetting):
 MODEL = ContactModel(
     Capillary,
     "liquid bridges of constant volume from first contact to rupture (Willett et al. 2000)",
+    options=ViscousOptions,
     pair_properties=LiquidBridges,
 )

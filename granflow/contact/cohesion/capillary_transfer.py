@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field
 
 from granflow.contact.cohesion.capillary import (
@@ -24,7 +25,13 @@ from granflow.contact.cohesion.capillary import (
     reference_attraction,
     rupture_factor,
 )
-from granflow.contact.law import CohesionLaw, ContactModel, ContactState, HistoryField, ModelRequest, Options
+from granflow.contact.cohesion.lubrication import (
+    VISCOUS_SOURCE,
+    Lubrication,
+    ViscousOptions,
+    lubrication_force,
+)
+from granflow.contact.law import CohesionLaw, ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.device_functions import power, ti
 from granflow.schema.quantities import Number
@@ -42,12 +49,14 @@ class CapillaryTransfer(CohesionLaw):
     max_bridge_volume: float
     bridge_range: float
     energy_budget: bool
+    lubrication: Lubrication = Lubrication()
 
     name = "capillary_transfer"
-    source = f"{SOURCE}; Shi & McCarthy 2008, Powder Technol. 184:64"
+    source = f"{SOURCE}; Shi & McCarthy 2008, Powder Technol. 184:64; {VISCOUS_SOURCE}"
     limits = (
         "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; walls have no film; "
-        "liquid does not flow along surfaces or between bridges, and its mass and viscous force are neglected"
+        "liquid does not flow along surfaces or between bridges, and its mass is neglected; a viscous force "
+        "acts only if the option is given, and only in bridges: not before first contact"
     )
     constant_names = ("tension", "rupture_factor")
     """Surface tension times cosine of the contact angle [N/m], rupture distance over the cube root of the
@@ -60,7 +69,12 @@ class CapillaryTransfer(CohesionLaw):
         """The law that a scene requests."""
         largest = request.options.max_bridge_volume
         factor = max(rupture_factor(pair.properties["contact_angle"]) for pair in request.pairs)
-        return cls(largest, factor * float(largest ** (1.0 / 3.0)), request.energy_budget)
+        return cls(
+            largest,
+            factor * float(largest ** (1.0 / 3.0)),
+            request.energy_budget,
+            Lubrication.of(request.options.viscous_force),
+        )
 
     @property
     def range(self) -> float:
@@ -69,8 +83,12 @@ class CapillaryTransfer(CohesionLaw):
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """The range, and the largest volume of a bridge."""
-        return {**super().parameters, "max_bridge_volume": self.max_bridge_volume}
+        """The range, the largest volume of a bridge, and the numbers of the viscous force."""
+        return {
+            **super().parameters,
+            "max_bridge_volume": self.max_bridge_volume,
+            **self.lubrication.parameters,
+        }
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -116,6 +134,28 @@ class CapillaryTransfer(CohesionLaw):
         history_new.bridge_volume = ti.select(holds, volume, 0.0)
         return ti.select(holds, bridge_attraction(contact, constants.tension, positive), 0.0), history_new
 
+    @property
+    def is_viscous(self) -> bool:
+        """Whether the viscous force of the liquid acts."""
+        return self.lubrication.acts
+
+    @ti.func
+    def viscous_force(self, constants, contact, history):
+        """Viscous force [N] of the bridge, if it exists."""
+        normal, tangential = lubrication_force(constants, contact)
+        exists = ti.select(history.bridge_volume > 0.0, 1.0, 0.0)
+        return exists * normal, exists * tangential
+
+    def resistance(self, pair: PairMaterial, radius_eff: float) -> tuple[float, float]:
+        """Largest ratios of viscous force to velocity [N s/m]."""
+        return self.lubrication.resistance(radius_eff)
+
+    def reference_viscous_force(self, contact: ContactState) -> tuple[float, np.ndarray]:
+        """Reference implementation of `viscous_force`."""
+        normal, tangential = self.lubrication.reference(contact)
+        exists = float(contact.history.bridge_volume > 0.0)
+        return exists * normal, exists * tangential
+
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy of the bridge [J], minus the work up to its rupture."""
@@ -143,7 +183,7 @@ class CapillaryTransfer(CohesionLaw):
         return 4.0 * math.pi * radius_eff * self.pair_constants(pair)[0]
 
 
-class CapillaryTransferOptions(Options):
+class CapillaryTransferOptions(ViscousOptions):
     """Options of the model."""
 
     max_bridge_volume: Annotated[float, Number("volume", noun="a volume", above=0)] = Field(
