@@ -187,7 +187,8 @@ def _undefined(model: ContactModel) -> Iterator[str]:
     """Functions and constants that the interface of the slot requires and the law does not define."""
     base = SLOTS[model.slot].base
     required = (*base.required, *(("flow", "flow_bounds") if model.law.flows else ()))
-    if base is CohesionLaw and model.law.viscous_force is not CohesionLaw.viscous_force:
+    law = model.law
+    if issubclass(law, CohesionLaw) and law.viscous_force is not CohesionLaw.viscous_force:
         required += CohesionLaw.required_if_viscous
     undefined = [name for name in required if getattr(model.law, name) is getattr(base, name)]
     if undefined:
