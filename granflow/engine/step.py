@@ -320,7 +320,8 @@ class TimeStep:
             if ti.static(self.features.clumps):  # the weight of a clump acts at its center of mass
                 force_sum *= ti.cast(self.particles.clump[i] < 0, ti.f64)
             if ti.static(self.attaches):  # the wall carries the weight
-                force_sum *= ti.cast(self.particles.attached_to[i] < 0, ti.f64)
+                if self.particles.attached_to[i] >= 0:
+                    force_sum = ti.Vector.zero(ti.f64, 3)
         if ti.static(self.has_walls):
             for pass_index in range(ti.static(len(CONTACT_ORDER) if self.transfers else 1)):
                 for list_index in range(self.neighbors.list_begin[i], self.neighbors.list_walls_end[i]):
