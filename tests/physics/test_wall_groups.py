@@ -12,7 +12,13 @@ GRAVITY = 9.81
 DIAMETER = 0.004
 HEIGHT = 0.02
 DURATION = 0.07
-SCREEN = {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "glass", "groups": ["coarse"]}
+SCREEN = {
+    "shape": "plane",
+    "point": [0, 0, 0],
+    "normal": [0, 0, 1],
+    "material": "glass",
+    "groups": ["coarse"],
+}
 
 
 def screen_scene():
