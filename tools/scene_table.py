@@ -57,6 +57,7 @@ def comparisons() -> Iterator[str]:
     yield row(COLUMNS)
     yield row(["---"] * len(COLUMNS))
     for each in YAML(typ="safe").load(COMPARISONS):
+        each["measured"] = str(each.get("measured", "")).partition(",")[0]  # the date, without the commit
         yield row([str(each.get(column, "")) for column in COLUMNS])
 
 
@@ -78,7 +79,7 @@ def expectations() -> Iterator[str]:
     stored = stored_results()
     for name in names():
         run = stored.get(name, {})
-        recorded = f"{run['date']}, {run['commit']}" if run else "not recorded"
+        recorded = run["date"] if run else "not recorded"
         for quantity, unit, expected_value, value in expected_and_run(name, run.get("numbers", {})):
             yield row((f"`{name}`", f"`{quantity}`", unit, expected_value, value, recorded))
 

@@ -1,7 +1,8 @@
 """Events of MkDocs: adds the generated pages and pictures, inserts facts of contact models, and converts
 formulas.
 
-A page contains `<!-- contact model NAME -->` or `<!-- contact models -->` where facts of the registry belong,
+Numbers of publications (DOI) become links. CHANGELOG.md and the page of the benchmark are copied from their places in the
+repository. A page contains `<!-- contact model NAME -->` or `<!-- contact models -->` where facts of the registry belong,
 and `<!-- import tables -->` where those of the importer belong.
 """
 
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs" / "pages"
 sys.path.insert(0, str(ROOT / "tools"))
 
 from docsite import (  # noqa: E402
@@ -40,6 +42,14 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "gallery.md": gallery.page,
 }
 """Generated pages by path."""
+COPIES: Mapping[str, str] = {"changelog.md": "CHANGELOG.md", "benchmark.md": "tools/benchmark/README.md"}
+"""Pages that are files of the repository, by path."""
+PICTURE = "assets/scaling.svg"
+"""Path of the picture of the benchmark in the site."""
+LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!https?:|#)([^)#\s]+)(#[^)\s]*)?\)")
+DOI = re.compile(r"(?<![\w/\[(])10\.\d{4,9}/[^\s|\]>,;`]*[\w)]")
+COMMIT = re.compile(r", commit [0-9a-f]{7,40}\b")
+FENCE = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 MODEL = re.compile(r"<!-- contact model (\w+) -->")
 MODELS = "<!-- contact models -->"
 BOLD_GREEK = re.compile(r'<mi mathvariant="bold-italic">&#x(003[BC][0-9A-F]);</mi>')
@@ -59,6 +69,11 @@ def on_files(files: Any, config: Any) -> Any:
         inclusion = InclusionLevel.NOT_IN_NAV
         path = f"reference/python/{name}.md"
         files.append(File.generated(config, path, content=text, inclusion=inclusion))
+    for path, source in COPIES.items():
+        text = (ROOT / source).read_text(encoding="utf-8")
+        files.append(File.generated(config, path, content=copied(text, ROOT / source)))
+    picture_source = str(ROOT / "tools" / "benchmark" / "scaling.svg")
+    files.append(File.generated(config, PICTURE, abs_src_path=picture_source))
     for name in notebook_pages.names():
         files.append(File.generated(config, f"notebooks/{name}.md", content=notebook_pages.page(name)))
         source = str(notebook_pages.path_of(name))
@@ -73,6 +88,36 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
+def copied(text: str, source: Path) -> str:
+    """The text of a file of the repository for a page at the top of the site: links to pages stay links, others are text."""
+
+    def target(found: re.Match[str]) -> str:
+        is_picture, label, path, part = found[1], found[2], found[3], found[4] or ""
+        file = (source.parent / path).resolve()
+        if is_picture:
+            return f"![{label}]({PICTURE})"
+        if file.is_relative_to(DOCS) and file.suffix == ".md":
+            return f"[{label}]({file.relative_to(DOCS).as_posix()}{part})"
+        return label
+
+    return LINK.sub(target, text)
+
+
+def with_links(markdown: str) -> str:
+    """The text with links from the numbers of publications, except in code."""
+    parts = FENCE.split(markdown)
+    parts[::2] = [DOI.sub(_doi_link, part) for part in parts[::2]]
+    return "".join(parts)
+
+
+def _doi_link(found: re.Match[str]) -> str:
+    """A link; a closing parenthesis belongs to the number if it contains the opening one."""
+    number, rest = found[0], ""
+    if number.endswith(")") and "(" not in number:
+        number, rest = number[:-1], ")"
+    return f"[{number}](https://doi.org/{number}){rest}"
+
+
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Insert the facts of contact models. Raises PluginError if the page of a model does not contain its
     facts."""
@@ -85,7 +130,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     markdown = MODEL.sub(lambda found: model_pages.facts(found[1]), markdown)
     if import_tables.MARK in markdown:
         markdown = markdown.replace(import_tables.MARK, import_tables.tables())
-    return markdown.replace(MODELS, model_pages.overview())
+    return with_links(COMMIT.sub("", markdown.replace(MODELS, model_pages.overview())))
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
