@@ -226,8 +226,8 @@ class Zhou(NormalLaw):
     name = "zhou"
     source = "Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12"
     limits = (
-        "with a restitution coefficient near 0, the force falls to zero within one time step of unloading, so "
-        "that the simulated restitution remains above 0; sigma and psi must be measured"
+        "with a restitution coefficient near 0, the force falls to zero within one time step of unloading, "
+        "so that the simulated restitution remains above 0; sigma and psi must be measured"
     )
     constant_names = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", "limit_velocity")
     """Constant restitution; sigma, psi and vlim [m/s] of Eq. 12."""
