@@ -23,7 +23,7 @@ from granflow.importing.deck import (
 from granflow.importing.groups import fixed_points
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import material_of
-from granflow.importing.meshes import flat_face
+from granflow.importing.meshes import FlatFace, flat_face
 from granflow.importing.regions import BASIS, contains, region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
@@ -381,14 +381,14 @@ def scene_region(deck: Deck, region: Region, entry: Entry, margin: float = 0.0) 
     return {"box": {"min": quantities(low, "length"), "max": quantities(high, "length")}}
 
 
-def face_of(mesh: Fix, velocity: Vector, entry: Entry) -> tuple[dict[str, Any], float]:
-    """The face of an inlet from a flat mesh, with the normal along the velocity; and its area [m2]."""
+def face_of(mesh: Fix, velocity: Vector, entry: Entry) -> FlatFace:
+    """The face of a stream from a flat mesh, with the normal along the velocity. Raises DeckError."""
     face = flat_face(mesh.data, np.array(velocity))
     if face is None:
         raise DeckError(entry.command, f"the mesh {mesh.name} is not flat; an insertion face must be flat.")
     if face.difference:
         entry.approximated(f"the face is replaced by a disc of the same area: {face.difference}")
-    return face.inlet()
+    return face
 
 
 # Groups from insertions
@@ -458,7 +458,9 @@ def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
         mass_share = sum(masses[k] for k in chosen) / sum(masses)
         name = plain_name(fix.name if len(kinds) == 1 else f"{fix.name}_{index + 1}", "group")
         clump = members[0].clump
-        amount = Amount(deck, fix, given, share, mass_share)
+        weights = [masses[k] for k in chosen]
+        mean_radius = float(np.average([each.radius for each in members], weights=weights))
+        amount = Amount(deck, fix, given, share, mass_share, mean_radius)
         keys: dict[str, Any] = {}
         keys |= {"clump": clump} if clump else {"diameter": _sizes(given.distribution, members)}
         if any(given.velocity):
@@ -494,6 +496,8 @@ class Amount:
     given: Insertion
     share: float
     mass_share: float
+    mean_radius: float
+    """Mean radius [m] by mass."""
 
     def parts(self, radius: float) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
         """Suffix of the group, its count or mass, and the key insert; `radius` [m] of the smallest "
@@ -504,16 +508,42 @@ class Amount:
             start = max(start, start + (given.start - fix.step) * (self.deck.time_step or 0.0))
         if fix.style == "insert/pack":
             return self._pack(radius, start, end)
-        keys = self._flow(start, end)
         if given.face is not None:
-            face, _ = face_of(given.face, given.velocity, fix.entry)
+            face, delay = self._face(given.face)
             given.face.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.face")
-            return [("", self._total(), {"kind": "inlet", "face": face, **keys})]
+            return [("", self._total(), {"kind": "inlet", "face": face, **self._flow(start + delay, end)})]
+        keys = self._flow(start, end)
         if given.region is None:
             raise DeckError(fix.entry.command, f"{fix.style} needs a region or an insertion_face.")
         region = scene_region(self.deck, given.region, fix.entry, 0.0 if given.all_in else radius)
         given.region.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.region")
         return [("", self._total(), {"kind": "rain", "region": region, **keys})]
+
+    def _face(self, mesh: Fix) -> tuple[dict[str, Any], float]:
+        """The face of the inlet, and the time [s] until the first particles of the script pass the mesh.
+
+        In LIGGGHTS the center of a particle passes the mesh with the given velocity, anywhere on it (all_in
+        no), after it has moved with constant velocity from at least a radius before it. In granflow a sphere
+        lies downstream of the face: the face is moved back and enlarged by the mean radius.
+        """
+        given, deck, radius = self.given, self.deck, self.mean_radius
+        face = face_of(mesh, given.velocity, self.fix.entry)
+        speed = float(np.array(given.velocity) @ face.normal)
+        if speed <= 0.0:
+            raise DeckError(
+                self.fix.entry.command, "the velocity has no component across the insertion face; give vel."
+            )
+        step = deck.time_step or 0.0
+        every = (given.every or 0) * step or given.extrude / speed
+        lasting = (given.duration or 0) * step or every
+        self.fix.entry.approximated(
+            f"particles appear at the face at a constant rate; the script has them up to "
+            f"{lasting * speed:.3g} m before it, where they move with constant velocity"
+            + (f", and a batch passes in {lasting:.3g} s of every {every:.3g} s" if lasting < every else "")
+        )
+        box = np.array(deck.box or (-inf, inf) * 3).reshape(3, 2)
+        moved = face.moved(-min(radius, face.room(-face.normal, box)))
+        return moved.enlarged(0.0 if given.all_in else radius, box).inlet(), radius / speed
 
     def _total(self) -> dict[str, Any]:
         """The total count or mass; empty for an insertion without end."""

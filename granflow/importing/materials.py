@@ -889,6 +889,8 @@ class Contacts:
         damping = self._tangential_damping(main)
         self._remark_on_dashpots(main, damping)
         keys: dict[str, Any] = {"damping": round(damping, 6)} if damping else {}
+        if damping and self.deck.code == "liggghts":
+            keys["dashpot"] = "sticking"
         if name in ("no_history", "linear_nohistory"):
             main.entry.approximated(
                 "the tangential force has a spring with history; the script has a dashpot only"
@@ -1211,7 +1213,11 @@ MODELS: tuple[tuple[str, str, str], ...] = (
         "",
     ),
     ("tangential linear_history", "tangential: linear_history", ""),
-    ("tangential_damping on (default)", "tangential.damping", "the ratio of the dashpots"),
+    (
+        "tangential_damping on (default)",
+        "tangential: {damping, dashpot}",
+        "the ratio of the dashpots; LIGGGHTS: dashpot: sticking",
+    ),
     ("rolling_friction cdt, epsd2, epsd", "rolling: cdt, epsd, sds", ""),
     ("granular: rolling sds", "rolling: sds", "rolling stiffness of the tangential spring"),
     ("granular: twisting marshall, sds", "twisting: marshall, torsion_spring", ""),

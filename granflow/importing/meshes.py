@@ -1,6 +1,6 @@
 """Meshes of LIGGGHTS: fix mesh/surface with its modules, and the mass that passes a mesh."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import pi, sqrt
 from pathlib import Path
 from typing import Any
@@ -457,15 +457,51 @@ class FlatFace:
             return {**keys, "radius": quantity(self.radius, "length")}
         return {**keys, "sides": [quantities(clean(each), "length") for each in self.sides]}
 
-    def inlet(self) -> tuple[dict[str, Any], float]:
-        """The keys of the face of an inlet, and its area [m2]."""
+    def inlet(self) -> dict[str, Any]:
+        """The keys of the face of an inlet."""
         if self.sides is not None:
             corner = quantities(clean(self.point), "length")
             sides = [quantities(clean(each), "length") for each in self.sides]
-            area = float(np.linalg.norm(np.cross(*self.sides)))
-            return {"rectangle": {"corner": corner, "sides": sides}}, area
+            return {"rectangle": {"corner": corner, "sides": sides}}
         disc = {"center": quantities(clean(self.point), "length"), "normal": clean(self.normal)}
-        return {"disc": {**disc, "radius": quantity(self.radius, "length")}}, pi * self.radius**2
+        return {"disc": {**disc, "radius": quantity(float(f"{self.radius:.6g}"), "length")}}
+
+    def extent(self) -> np.ndarray:
+        """Smallest and largest coordinate [m] along each axis, (3, 2)."""
+        if self.sides is None:
+            across = self.radius * np.sqrt(np.maximum(0.0, 1.0 - self.normal**2))
+            return np.stack([self.point - across, self.point + across], axis=1)
+        first, second = self.sides
+        corners = np.array([self.point + a * first + b * second for a in (0, 1) for b in (0, 1)])
+        return np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1)
+
+    def room(self, direction: np.ndarray, box: np.ndarray) -> float:
+        """Distance [m] by which the face can move along a unit vector within a box (3, 2); at least 0."""
+        extent = self.extent()
+        ways = [
+            (box[k, 1] - extent[k, 1] if d > 0.0 else extent[k, 0] - box[k, 0]) / abs(d)
+            for k, d in enumerate(direction)
+            if abs(d) > FLAT
+        ]
+        return max(0.0, min(ways))
+
+    def moved(self, distance: float) -> "FlatFace":
+        """The face moved along its normal by a distance [m]."""
+        return replace(self, point=self.point + distance * self.normal)
+
+    def enlarged(self, margin: float, box: np.ndarray) -> "FlatFace":
+        """The face with a margin [m] on all sides, as far as it remains in a box (3, 2)."""
+        if self.sides is None:
+            across = np.abs(self.normal) < 1.0 - FLAT
+            room = min([margin, *np.abs(box - self.extent())[across].ravel()])
+            return replace(self, radius=self.radius + max(0.0, room))
+        point, sides = self.point.copy(), self.sides.copy()
+        for k, side in enumerate(self.sides):
+            unit = side / np.linalg.norm(side)
+            before, after = (min(margin, self.room(d, box)) for d in (-unit, unit))
+            point -= before * unit
+            sides[k] = side + (before + after) * unit
+        return replace(self, point=point, sides=sides)
 
     def outlet(self) -> tuple[dict[str, Any], str]:
         """The keys of an outlet behind the face, and how it differs."""

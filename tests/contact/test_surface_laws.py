@@ -37,6 +37,7 @@ VARIANTS = [
     Variant(mindlin.MODEL, {"increments": "displacement", "unloading": "kept", "damping": 0.7}),
     Variant(mindlin.MODEL, {"unloading": "kept"}),
     Variant(mindlin.MODEL, {"damping": 1.3}),
+    Variant(mindlin.MODEL, {"increments": "displacement", "damping": 0.7, "dashpot": "sticking"}),
     Variant(marshall.MODEL, {"damping": 1.3}),
     Variant(torsion_spring.MODEL, {"stiffness": 1e-3, "damping": 5e-9}),
     Variant(linear_history.MODEL, {"stiffness": 3e4, "damping": 0.5}),
@@ -225,3 +226,33 @@ def test_force_and_energy_scale_with_the_units(taichi_f64, variant):
     np.testing.assert_allclose(scaled.force / force, plain.force, rtol=0.0, atol=1e-13 * size)
     energy = np.abs(plain.loss).max()
     np.testing.assert_allclose(scaled.loss / scale["energy"], plain.loss, rtol=0.0, atol=1e-12 * energy)
+
+
+def test_a_sliding_impact_has_the_friction_of_the_whole_normal_force(taichi_f64):
+    """`dashpot: sticking` in an impact of Hertz with a large slip rate, as of a sphere that falls on a belt.
+
+    Load and stiffness grow as d^1.5 and d^0.5 and decrease again. The spring reaches mu F_n after some steps,
+    from which the force is mu F_n against the slip. A dashpot that is limited with the spring deflects it
+    against the slip, so that the force is smaller or along the slip for a part of the impact.
+    """
+    shares = []
+    for rule in ("sticking", "limited"):
+        given = {"increments": "displacement", "unloading": "kept", "damping": 0.6, "dashpot": rule}
+        law, pair = law_and_pair(Variant(mindlin.MODEL, given))
+        overlap = np.sin(np.linspace(0.0, np.pi, 202))[None, 1:-1]  # over the largest one
+        slip = np.zeros((*overlap.shape, 3))
+        slip[..., 0] = 20.0 * SLIP
+        up = np.broadcast_to([0.0, 0.0, 1.0], slip.shape)
+        stiffness = STIFFNESS * overlap**0.5
+        load = 100.0 * LOAD * overlap**1.5
+        before = np.concatenate([stiffness[:, :1], stiffness[:, :-1]], axis=1)
+        numbers = {
+            "radius_eff": RADIUS, "mass_eff": MASS, "inertia_eff": 0.4 * MASS * RADIUS**2, "time_step": TIME_STEP,
+            "longest_time_step": TIME_STEP, "overlap": 2.5e-3, "overlap_rate": 0.0, "stiffness": stiffness,
+            "normal_damping": 2.0 * overlap**0.25, "normal_load": load, "stiffness_ratio": before / stiffness,
+        }  # fmt: skip
+        vectors = {"normal": up, "normal_half": up, "slip": slip, "slip_rate": slip / TIME_STEP, "rolling_rate": 0.0 * slip}
+        force = evaluate_surface(law, pair, numbers, vectors).force[0, :, 0]
+        shares.append(-force / (COEFFICIENT * load[0]))
+    assert shares[0] == pytest.approx(np.ones(200), rel=1e-12)
+    assert shares[1].min() < 0.5

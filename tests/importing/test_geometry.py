@@ -336,6 +336,31 @@ def test_mass_flow_through_a_mesh(tmp_path, square):
     checked(tmp_path, found)
 
 
+@pytest.mark.parametrize(("all_in", "margin"), [("no", 0.0035), ("yes", 0.0)])
+def test_stream_through_a_face(tmp_path, square, all_in, margin):
+    """Centers pass the mesh with the given velocity, on all of it, after a way of at least a radius.
+
+    granflow places spheres downstream of the face, within its sides, so that it lies a radius before the mesh. The
+    mean radius by mass is 0.25 x 2 mm + 0.75 x 4 mm = 3.5 mm; 2 m/s along x are not across the face.
+    """
+    large = "fix p2 all particletemplate/sphere 1 atom_type 1 density constant 2500 radius constant 0.004\n"
+    stream = (
+        f"{large}fix d2 all particledistribution/discrete 1 2 p1 0.25 p2 0.75\nfix face all {square} move 0.01 0.01 0.1\n"
+        f"fix s all insert/stream seed 1 distributiontemplate d2 nparticles 50 particlerate 100 all_in {all_in} "
+        "vel constant 2 0 -0.7 insertion_face face extrude_length 0.02\n"
+    )
+    floor = f"fix w all {GRANULAR} primitive type 1 zplane 0\n"
+    found, _ = imported(tmp_path, liggghts(f"{floor}{stream}run 9"))
+    insert = checked(tmp_path, found).particles["s"].insert
+    outline = insert.face.rectangle
+    corners = np.array([outline.corner, np.add(outline.corner, np.sum(outline.sides, axis=0))])
+    np.testing.assert_allclose(corners.min(axis=0), [0.01 - margin, 0.01 - margin, 0.1035], atol=1e-9)
+    np.testing.assert_allclose(corners.max(axis=0), [0.03 + margin, 0.03 + margin, 0.1035], atol=1e-9)
+    assert insert.face.normal.tolist() == [0, 0, -1]
+    assert insert.start == pytest.approx(0.0035 / 0.7)
+    assert "up to 0.02 m before it" in sentences(found, "fix s")
+
+
 # Regions
 
 

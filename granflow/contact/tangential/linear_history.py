@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from granflow.contact.law import ContactModel, ModelRequest, Options, SlidingFriction, SurfaceState
-from granflow.contact.tangential.mindlin import DampingFactor, Mindlin
+from granflow.contact.tangential.mindlin import DampingFactor, DashpotRule, Mindlin
 from granflow.device_functions import ti
 from granflow.schema.quantities import Number
 
@@ -25,7 +25,12 @@ class LinearHistory(Mindlin):
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "LinearHistory":
         """The law that a scene requests."""
-        return cls(damping=request.options.damping, spring_stiffness=request.options.stiffness)
+        options = request.options
+        return cls(
+            damping=options.damping,
+            dashpot_sticks=options.dashpot == "sticking",
+            spring_stiffness=options.stiffness,
+        )
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -54,6 +59,7 @@ class LinearHistoryOptions(Options):
         description="tangential stiffness [N/m], for all pairs and particle sizes", examples=["1e4 N/m"]
     )
     damping: DampingFactor = 0.0
+    dashpot: DashpotRule = "limited"
 
 
 MODEL = ContactModel(

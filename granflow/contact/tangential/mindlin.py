@@ -1,7 +1,7 @@
 """Mindlin's no-slip spring with history, limited by Coulomb friction, with an optional dashpot.
 
 The four combinations of `increments` and `unloading` are the styles mindlin, mindlin/force, mindlin_rescale
-and mindlin_rescale/force of LAMMPS.
+and mindlin_rescale/force of LAMMPS; `dashpot: sticking` is the rule of LIGGGHTS (tangential history).
 """
 
 from collections.abc import Mapping
@@ -38,6 +38,14 @@ DampingFactor = Annotated[
     Field(description="tangential dashpot over the dashpot of the normal model; 0: none", examples=["1"]),
 ]
 """Option `damping` of the tangential models: eta_t / eta_n, x_gamma_t of LAMMPS."""
+DashpotRule = Annotated[
+    Literal["limited", "sticking"],
+    Field(
+        description="force of the dashpot. limited: the Coulomb limit applies to spring and dashpot together "
+        "(LAMMPS); sticking: it applies to the spring, and the dashpot acts only below it (LIGGGHTS)"
+    ),
+]
+"""Option `dashpot` of the tangential models."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +56,13 @@ class Mindlin(TangentialLaw):
                        displacement
     rescaled:          whether a decrease of the stiffness decreases the force in proportion
     damping:           ratio of the tangential to the normal dashpot
+    dashpot_sticks:    whether the dashpot acts only while the spring is below the Coulomb limit
     """
 
     force_increments: bool = True
     rescaled: bool = True
     damping: float = 0.0
+    dashpot_sticks: bool = False
 
     name = "mindlin"
     source = "Mindlin 1949; Cundall & Strack 1979; Thornton, Cummins & Cleary 2013"
@@ -66,7 +76,12 @@ class Mindlin(TangentialLaw):
     def from_scene(cls, request: ModelRequest) -> "Mindlin":
         """The law that a scene requests."""
         options = request.options
-        return cls(options.increments == "force", options.unloading == "rescaled", options.damping)
+        return cls(
+            options.increments == "force",
+            options.unloading == "rescaled",
+            options.damping,
+            options.dashpot == "sticking",
+        )
 
     @property
     def damped(self) -> bool:
@@ -127,6 +142,8 @@ class Mindlin(TangentialLaw):
 
         F = -k s - eta_t v_t;   if |F| > mu F_n:   F <- mu F_n F / |F|,   s <- -(F + eta_t v_t) / k
 
+        With `dashpot_sticks`:  if k |s| > mu F_n:   F <- -mu F_n s / |s|,   s <- -F / k
+
         The dashpot acts from the second step on: in the first one the normal force is a mean since first
         contact, and the spring would keep the difference between the dashpot and a limit that depends on the
         time of first contact.
@@ -144,12 +161,20 @@ class Mindlin(TangentialLaw):
         if ti.static(self.damped):
             damping = ti.select(rotated.dot(rotated) > 0.0, constants.damping * contact.normal_damping, 0.0)
             dashpot = -damping * contact.slip_rate
-            displacement = factor * rotated + contact.slip
-            trial = dashpot - stiffness * displacement
-            share = limit_ratio(trial, limit)
-            force = share * trial
-            displacement = ti.select(share < 1.0, (dashpot - force) / stiffness, displacement)
-            spring = -stiffness * displacement
+            if ti.static(self.dashpot_sticks):
+                spring, displacement = elastic_plastic_spring(
+                    stiffness, factor, limit, rotated, contact.slip
+                )
+                trial = factor * rotated + contact.slip
+                dashpot *= ti.select(limit_ratio(-stiffness * trial, limit) < 1.0, 0.0, 1.0)
+                force = spring + dashpot
+            else:
+                displacement = factor * rotated + contact.slip
+                trial = dashpot - stiffness * displacement
+                share = limit_ratio(trial, limit)
+                force = share * trial
+                displacement = ti.select(share < 1.0, (dashpot - force) / stiffness, displacement)
+                spring = -stiffness * displacement
             dashpot_loss = -0.5 * (history.dashpot + dashpot).dot(contact.slip)
             history_new.dashpot = dashpot
         else:
@@ -178,6 +203,12 @@ class Mindlin(TangentialLaw):
             return force, {"displacement": displacement}
         damping = self.damping * contact.normal_damping if contact.history.displacement.any() else 0.0
         dashpot = -damping * contact.slip_rate
+        if self.dashpot_sticks:
+            spring, displacement = reference_spring(stiffness, limit, carried, contact.slip)
+            trial = stiffness * (carried + contact.slip)
+            if trial @ trial > limit * limit:
+                dashpot = np.zeros(3)
+            return spring + dashpot, {"displacement": displacement, "dashpot": dashpot}
         displacement = carried + contact.slip
         force = dashpot - stiffness * displacement
         size = float(np.sqrt(force @ force))
@@ -214,6 +245,7 @@ class MindlinOptions(Options):
         "not",
     )
     damping: DampingFactor = 0.0
+    dashpot: DashpotRule = "limited"
 
 
 MODEL = ContactModel(
