@@ -251,7 +251,13 @@ def test_a_sliding_impact_has_the_friction_of_the_whole_normal_force(taichi_f64)
             "longest_time_step": TIME_STEP, "overlap": 2.5e-3, "overlap_rate": 0.0, "stiffness": stiffness,
             "normal_damping": 2.0 * overlap**0.25, "normal_load": load, "stiffness_ratio": before / stiffness,
         }  # fmt: skip
-        vectors = {"normal": up, "normal_half": up, "slip": slip, "slip_rate": slip / TIME_STEP, "rolling_rate": 0.0 * slip}
+        vectors = {
+            "normal": up,
+            "normal_half": up,
+            "slip": slip,
+            "slip_rate": slip / TIME_STEP,
+            "rolling_rate": 0.0 * slip,
+        }
         force = evaluate_surface(law, pair, numbers, vectors).force[0, :, 0]
         shares.append(-force / (COEFFICIENT * load[0]))
     assert shares[0] == pytest.approx(np.ones(200), rel=1e-12)

@@ -162,9 +162,7 @@ class Mindlin(TangentialLaw):
             damping = ti.select(rotated.dot(rotated) > 0.0, constants.damping * contact.normal_damping, 0.0)
             dashpot = -damping * contact.slip_rate
             if ti.static(self.dashpot_sticks):
-                spring, displacement = elastic_plastic_spring(
-                    stiffness, factor, limit, rotated, contact.slip
-                )
+                spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, contact.slip)
                 trial = factor * rotated + contact.slip
                 dashpot *= ti.select(limit_ratio(-stiffness * trial, limit) < 1.0, 0.0, 1.0)
                 force = spring + dashpot
