@@ -53,7 +53,8 @@ def on_host(name, folder):
     threads.SINGLE_WORKER_PARTICLES = 0  # scenes of this size use one worker by default
     run(name, folder / "two", row.build(), 2)
     scene = row.build()
-    skin = None if scene.outlets else 6e-4  # particles are deleted at rebuilds
+    deletes = scene.outlets or scene.domain.on_exit == "delete"
+    skin = None if deletes else 6e-4  # particles are deleted at rebuilds
     run(name, folder / "lists", with_lists(scene, 7, skin), 2)
     if row.change is None:
         begin(name, folder)

@@ -190,9 +190,10 @@ def conducting() -> Scene:
 
 
 def disturb(simulation: Simulation) -> None:
-    """Change velocities and delete every seventh particle from Python."""
+    """Change velocities of mobile particles and delete every seventh particle from Python."""
     particles = simulation.particles
-    particles.velocity[::2] += [0.1, 0.0, -0.2]
+    mobile = np.flatnonzero(np.asarray(particles.group) != "row")
+    particles.velocity[mobile[::2]] += [0.1, 0.0, -0.2]
     particles.remove(np.arange(len(particles)) % 7 == 0)
 
 
