@@ -41,7 +41,7 @@ def test_particles_are_read_back_exactly(tmp_path, count):
         "id", "radius", "diameter", "velocity", "angular_velocity", "force", "material", "group", "coordination_number",
         "wall_contact_count", "kinetic_energy", "fixed", "clump", "orientation", "liquid_film",
         "temperature",
-        "heat_source",
+        "heat_source", "attached_to",
     }  # fmt: skip
     for name, values in mesh.point_data.items():
         np.testing.assert_array_equal(values, PARTICLE_QUANTITIES[name].for_file(particles[name]))

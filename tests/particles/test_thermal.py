@@ -74,7 +74,7 @@ def test_plan_expects_the_fastest_particle():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"fixed": True}, "thermal cannot be combined with fixed: true"),
+        ({"fixed": True}, "thermal cannot be combined with fixed; remove thermal"),
         (
             {"count": 1},
             "thermal cannot have zero momentum: one particle has momentum; write zero_momentum: false",
