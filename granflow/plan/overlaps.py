@@ -730,8 +730,8 @@ def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, 
             continue
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
         bodies = group.shape.placed_spheres(points, np.full(SAMPLES, radius), None)
-        walls = [wall for wall in plan.walls if wall.spec.holds(name)]
-        for wall, overlap in _overlaps(walls, bodies, getattr(group.insert, "start", 0.0), times):
+        start = getattr(group.insert, "start", 0.0)
+        for wall, overlap in _overlaps(plan.walls, name, bodies, start, times):
             share = float(np.mean(overlap > plan.scene.numerics.intended_overlap))
             if share > 0.0:
                 yield (
@@ -753,8 +753,7 @@ def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
     for (name, group), (own, *bodies) in zip(scene.particles.items(), placed, strict=True):
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
-        walls = [wall for wall in plan.walls if wall.spec.holds(name)]
-        for wall, overlap in _overlaps(walls, (bodies[0], bodies[1]), 0.0, times):
+        for wall, overlap in _overlaps(plan.walls, name, (bodies[0], bodies[1]), 0.0, times):
             count = int((overlap > scene.numerics.intended_overlap).sum())
             if count:
                 worst = int(overlap.argmax())
@@ -767,10 +766,14 @@ def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
 
 
 def _overlaps(
-    walls: Sequence[PlannedWall], bodies: tuple[np.ndarray, np.ndarray], time: float, times: StageTimes
+    walls: Sequence[PlannedWall],
+    group: str,
+    bodies: tuple[np.ndarray, np.ndarray],
+    time: float,
+    times: StageTimes,
 ) -> Iterator[tuple[PlannedWall, np.ndarray]]:
-    """For each wall that is present at `time` [s]: largest overlap over the radius (n,) of the spheres of a
-    particle.
+    """For each wall that is present at `time` [s] and holds a group: largest overlap over the radius (n,) of
+    the spheres of a particle.
 
     `bodies`: centers (n, k, 3) [m] and radii (n, k) [m] of spheres.
     """
@@ -779,7 +782,7 @@ def _overlaps(
     begun = {name: span for name, span in times.items() if span[0] <= time}
     stage = next((name for name, (_, end) in begun.items() if time < end), None)
     for wall in walls:
-        if stage is not None and wall.spec.is_present(stage, time):
+        if stage is not None and wall.spec.holds(group) and wall.spec.is_present(stage, time):
             at = poses_at([each.at(begun) for each in wall.motions], np.array([time]))
             local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
             overlap = 1.0 - wall.surface.distances(local, float(radius.max())) / radius
