@@ -134,6 +134,7 @@ FEATURE_SWITCHES = (
     "damping",
     "fixed_particles",
     "attached_particles",
+    "wall_groups",
 )
 """Features that determine which arrays exist."""
 
