@@ -85,7 +85,7 @@ def observers_for(
                 _wall_triangles(plan),
                 writer=writer,
                 measured=plan.measured_areas,
-                unbounded=[wall.name for wall in plan.walls if wall.surface.area is None],
+                unbounded=[wall.name for wall in plan.walls if not wall.spec.is_bounded],
                 has_belts=plan.features.surface_velocity,
                 wear_areas=plan.wear_areas,
                 compression=output.compression,

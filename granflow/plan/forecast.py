@@ -467,7 +467,7 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
 
     for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
         first = min((each for each in plan.controlled_motions if each.name == name), key=lambda m: span(m)[0])
-        area = plan.walls[first.wall].surface.area
+        area = plan.walls[first.wall].area
         down = abs(float(np.dot(scene.gravity, first.direction)))
         is_along = down >= (1.0 - LEVEL) * float(np.linalg.norm(scene.gravity))
         if area is None or not is_along or not all(each.follows_force for each in scene.walls[name].motion):

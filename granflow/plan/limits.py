@@ -7,7 +7,7 @@ one step.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from granflow.errors import SceneError
 from granflow.geometry.periodic_box import AXES, PeriodicBox
 from granflow.load import Scene
 from granflow.plan.pair_case import PairCase
-from granflow.plan.stages import always
+from granflow.plan.stages import always, nominal_times
 from granflow.plan.time_step import STEP_SHARE
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.motions import rotations_of
@@ -49,26 +49,59 @@ def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
             )
 
 
+MOST_PROBES = 50
+"""Largest number of displacements of a wall at which it is compared."""
+
+
 def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
     """Raise SceneError for a wall within `reach` [m] of a periodic boundary that does not continue across it.
 
     The distance from the wall is compared at SAMPLES x SAMPLES points of opposite faces, with the wall at
-    rest. `reach`: largest radius plus skin.
+    rest, and with the wall displaced by each half of the width of the box along its translations. `reach`:
+    largest radius plus skin.
     """
     periodic_box = scene.domain.periodic_box()
     for axis in periodic_box.axes:
         face = _face(periodic_box, axis)
-        opposite = face + periodic_box.width[axis] * np.eye(3)[axis]
+        along = periodic_box.width[axis] * np.eye(3)[axis]
         for wall in walls:
-            distance_low = wall.surface.distances(face, reach)
-            distance_high = wall.surface.distances(opposite, reach)
-            is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
-            if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
+            if _is_cut(wall, face, along, reach):
                 raise SceneError(
                     f"{scene.locate('walls', wall.name)}: walls.{wall.name} differs between the two ends of "
                     f"the periodic axis {AXES[axis]}. Extend it straight from end to end, or keep a distance "
                     f"of {reach:.4g} m from both."
                 )
+            if any(_is_cut(wall, face - each, along, reach) for each in _slides(scene, wall, axis)):
+                raise SceneError(
+                    f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} ends, and moves along "
+                    f"the periodic axis {AXES[axis]}: it would leave one end of the box without a wall. Use "
+                    "a plane, which is infinite (shape: plane), or extend the wall beyond the box by its way."
+                )
+
+
+def _is_cut(wall: PlannedWall, face: np.ndarray, along: np.ndarray, reach: float) -> bool:
+    """Whether the wall at rest differs between points (n, 3) [m] and those at a distance `along` (3,) [m]."""
+    distance_low = wall.surface.distances(face, reach)
+    distance_high = wall.surface.distances(face + along, reach)
+    is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
+    return bool(np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)))
+
+
+def _slides(scene: Scene, wall: PlannedWall, axis: int) -> Iterator[np.ndarray]:
+    """Displacements (3,) [m] of a bounded wall by each of its translations along a periodic axis, at each
+    half of the width of the box; none of a wall that also rotates."""
+    if not wall.spec.is_bounded or rotations_of(wall.motions):
+        return
+    half = 0.5 * float(scene.domain.periodic_box().width[axis])
+    times = np.linspace(0.0, scene.longest_duration, SAMPLES)
+    for motion in wall.motions:
+        displacement, _ = motion.at(nominal_times(scene.schedule)).displacement_and_rate(times)
+        farthest = displacement[np.argmax(np.abs(displacement[:, axis]))]
+        way = abs(float(farthest[axis]))
+        for k in range(1, min(int(way / half), MOST_PROBES) + 1):
+            yield farthest * (k * half / way)
+        if way > 0.0:
+            yield farthest
 
 
 def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> None:

@@ -268,8 +268,8 @@ class Plan:
 
     @property
     def measured_areas(self) -> dict[str, float | None]:
-        """Area [m2] of each wall with measured forces, by name; None for an unbounded wall."""
-        return {wall.name: wall.surface.area for wall in self.walls if wall.name in self.scene.measured_walls}
+        """Area [m2] of each wall with measured forces, by name; None for an infinite area."""
+        return {wall.name: wall.area for wall in self.walls if wall.name in self.scene.measured_walls}
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
@@ -323,11 +323,11 @@ class Plan:
 
     @cached_property
     def wear_areas(self) -> dict[str, np.ndarray | None]:
-        """Areas [m2] of the rows of each worn wall by name; None for an infinite wall."""
+        """Areas [m2] of the rows of each worn wall by name; None for an infinite area."""
         found: dict[str, np.ndarray | None] = {}
         for index in self.wear_rows:
             wall = self.walls[index]
-            area = wall.surface.area
+            area = wall.area
             whole = None if area is None else np.array([area])
             found[wall.name] = self.meshes[index].areas if index in self.meshes else whole
         return found

@@ -78,7 +78,7 @@ def controlled_motions_of(
                     key, sentence = unstable
                     location = scene.locate("walls", wall.name, "motion", number, key)
                     raise SceneError(f"{location}: walls.{wall.name}.motion.{key} {sentence}")
-                numbers = motion.numbers(wall.surface.area or 0.0, scene.gravity, layer, step)
+                numbers = motion.numbers(wall.area or 0.0, scene.gravity, layer, step)
                 source = scene.where("walls", wall.name, "motion", number)
                 controlled_motions.append(ControlledMotion(index, number, wall.name, motion, numbers, source))
     return tuple(controlled_motions)
@@ -98,7 +98,7 @@ def _layer(
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
     radius = min(pair_case.radius for pair_case in pair_cases)
-    area = wall.surface.area or section(scene.domain, direction)
+    area = wall.area or section(scene.domain, direction)
     sphere_count = sum(group.sphere_count for group in scene.particles.values())
     in_layer = area / (2.0 * sqrt(3.0) * radius**2)
     responses = [

@@ -24,13 +24,16 @@ from granflow.scene.blocks.walls.wall import Wall
 
 @dataclass(frozen=True)
 class PlannedWall:
-    """One wall: name in the scene, its record there (`spec`), surface at rest, material number in the plan,
-    and numeric motions.
+    """One wall: name in the scene, its record there (`spec`), surface at rest, area [m2], material number in
+    the plan, and numeric motions.
+
+    `area`: None if it is infinite; that of a plane between periodic boundaries is the section of the domain.
     """
 
     name: str
     spec: Wall
     surface: Surface
+    area: float | None
     material: int
     motions: tuple[TimedMotion, ...]
 
@@ -60,6 +63,7 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
             name=name,
             spec=wall,
             surface=surface,
+            area=surface.area if wall.is_bounded else wall.periodic_area(scene.domain),
             material=material_numbers[wall.material],
             motions=tuple(each.numeric(scene.gravity) for each in wall.motion),
         )

@@ -96,7 +96,7 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
         scatter = float(series.std(ddof=1)) / np.sqrt(len(series)) if len(series) > 1 else 0.0
         tolerance = max(FORCE_TOLERANCE * abs(motion.force), STANDARD_ERRORS * scatter)
         if min(abs(forces[index] - motion.force), abs(series.mean() - motion.force)) > tolerance:
-            area = engine.plan.walls[motion.wall].surface.area
+            area = engine.plan.walls[motion.wall].area
             yield _sentence(motion, stage, engine.time, float(forces[index]), not series.any(), area)
 
 

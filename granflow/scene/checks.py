@@ -622,7 +622,7 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
     for path, motion in controlled:
         key = motion.key_for_area
         wall = scene.walls[str(path[1])]
-        if key is not None and not wall.is_bounded:
+        if key is not None and not wall.has_area(scene.domain):
             reason = f"a {wall.shape} is infinite and has no area; give force, or use a rectangle"
             yield Fault((*path, key), reason)
     if controlled and scene.run.time_step == "adaptive":
@@ -726,7 +726,7 @@ def wall_forces(parts: PartialScene) -> Iterator[Fault]:
             yield Fault(path, f"output.wall_forces does not include {wall}; {remedy}")
         elif "pressure" in quantity:
             unbounded = parts.scene.walls.get(wall)
-            if unbounded is not None and not unbounded.is_bounded:
+            if unbounded is not None and not unbounded.has_area(parts.scene.domain):
                 remedy = "use wall_force_x, wall_force_y or wall_force_z"
                 yield Fault(path, f"the {unbounded.shape} {wall} is infinite and has no area; {remedy}")
 
@@ -809,7 +809,7 @@ def expected_parts(parts: PartialScene) -> Iterator[Fault]:
     ]
     worn = {name: wall.wear for name, wall in scene.walls.items() if wall.wear is not None}
     losing = [name for name, wear in worn.items() if wear.has_volume]
-    with_depth = [name for name in losing if scene.walls[name].is_bounded]
+    with_depth = [name for name in losing if scene.walls[name].has_area(scene.domain)]
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
         (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
         (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),

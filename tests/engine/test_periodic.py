@@ -16,6 +16,7 @@ from scene_builders import (
 from scipy.spatial import cKDTree
 
 from granflow.errors import SceneError
+from granflow.load import Scene
 from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
 
@@ -179,6 +180,61 @@ def test_wall_that_differs_at_the_ends_of_a_periodic_axis_is_rejected(wall, fits
             SceneError, match="walls.wall differs between the two ends of the periodic axis x"
         ):
             plan_for(scene)
+
+
+SLAB = {"shape": "rectangle", "corner": [0, 0, 0.02], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
+LONG = SLAB | {"corner": [-0.07, 0, 0.02], "sides": [[0.25, 0, 0], [0, 0.1, 0]]}
+
+
+@pytest.mark.parametrize(
+    ("wall", "velocity", "fits"),
+    [
+        (SLAB, [0.06, 0, 0], False),  # 60 mm in 1 s, more than half of the box
+        (SLAB, [0.001, 0, 0], False),
+        (SLAB, [10, 0, 0], False),  # many times the width of the box
+        (SLAB, [0, 0, 0.06], True),
+        (SLAB, [0, 0.06, 0], True),  # y is not periodic
+        (LONG, [0.06, 0, 0], True),  # from -10 to 240 mm
+        (LONG, [0.08, 0, 0], False),  # from 10 mm
+        (plane([0, 0, 0.02], [0, 0, 1]), [10, 0, 0], True),
+    ],
+)
+def test_wall_that_slides_out_of_a_periodic_box_is_rejected(wall, velocity, fits):
+    """Only the stage with the motion counts, which takes 1 s."""
+    motion = {"kind": "translation", "velocity": velocity, "stages": ["slide"]}
+    scene = build_scene(
+        {"ball": particle_group([[0.05] * 3])},
+        walls={"wall": {"material": "glass", "motion": motion} | wall},
+        domain=domain([0.1] * 3, "x"),
+        stages=[{"name": "wait", "duration": 9.0}, {"name": "slide", "duration": 1.0}],
+        run={"time_step": 1e-6},
+    )
+    if fits:
+        assert plan_for(scene).walls
+    else:
+        with pytest.raises(SceneError, match="walls.wall ends, and moves along the periodic axis x"):
+            plan_for(scene)
+
+
+def test_plane_across_the_axis_that_is_not_periodic_has_the_area_of_the_section():
+    """A servo with a pressure presses with pressure times area; along one periodic axis
+    the area is infinite, as that of an inclined plane."""
+    lid = plane([0, 0, 0.09], [0, 0, -2]) | {
+        "motion": {"kind": "servo", "direction": [0, 0, -1], "pressure": 5e3, "velocity_max": 0.1}
+    }
+
+    def scene(axes, **walls):
+        ball = {"ball": particle_group([[0.05, 0.02, 0.05]])}
+        output = {"interval": 0.1, "wall_forces": True}
+        return build_scene(ball, {"lid": lid, **walls}, domain=domain([0.1, 0.04, 0.1], axes), output=output)
+
+    plan = plan_for(scene("yx"))
+    assert plan.measured_areas == {"lid": pytest.approx(0.004)}
+    assert plan.controlled_motions[0].force == pytest.approx(5e3 * 0.1 * 0.04)
+    with pytest.raises(SceneError, match="pressure is 5000.0, but a plane is infinite and has no area"):
+        Scene.from_dict(scene("x").to_dict())
+    inclined = scene("x", lid=lid | {"normal": [0, 1, -1], "motion": []})
+    assert plan_for(inclined).measured_areas == {"lid": None}
 
 
 def test_packing_does_not_overlap_periodic_images():

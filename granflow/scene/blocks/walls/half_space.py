@@ -8,8 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from granflow.device_functions import ti
+from granflow.geometry.periodic_box import AXES
 from granflow.geometry.surface import AnalyticSurface, Surface, Vector
 from granflow.geometry.vectors import is_parallel, unit
+from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.walls.rectangle import quadrilateral
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema import quantities as q
@@ -18,7 +20,8 @@ from granflow.schema import quantities as q
 class Plane(Wall):
     """An infinite plane; the half space behind it is solid, the particles are on the side of the normal.
 
-    Its area is infinite: it has forces, but no pressure.
+    Its area is infinite: it has forces, but no pressure. In a domain that is periodic along two axes, a plane
+    across the third has the area of the section of the domain.
 
     >>> gf.Plane(material="steel", point=[0, 0, 0], normal=[0, 0, 1])
     Plane(material='steel', point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
@@ -33,6 +36,14 @@ class Plane(Wall):
     def surface(self, folder: Path) -> Surface:
         """See `Wall`."""
         return half_space(self.point, self.normal)
+
+    def periodic_area(self, domain: Domain) -> float | None:
+        """See `Wall`."""
+        other = [k for k, axis in enumerate(AXES) if axis not in domain.periodic]
+        if len(other) != 1 or not is_parallel(self.normal, np.eye(3)[other[0]]):
+            return None
+        width = np.subtract(domain.max, domain.min)
+        return float(np.prod(np.delete(width, other[0])))
 
 
 def half_space(point: object, normal: object) -> "HalfSpace":

@@ -34,7 +34,7 @@ class Wall(Model):
     """
 
     is_bounded: ClassVar[bool] = True
-    """False if the surface is infinite, so that it has no area and no pressure."""
+    """False if the surface is infinite."""
 
     shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
@@ -75,6 +75,14 @@ class Wall(Model):
         Raises FormatError for a file that cannot be used, with a reason that follows its path.
         """
         raise NotImplementedError
+
+    def periodic_area(self, domain: Domain) -> float | None:
+        """Area [m2] of an infinite wall in one period of the domain; None if it is infinite there, too."""
+        return None
+
+    def has_area(self, domain: Domain) -> bool:
+        """Whether the wall has an area, and with it a pressure."""
+        return self.is_bounded or self.periodic_area(domain) is not None
 
     def dimensions(self) -> Iterator[tuple[str, float]]:
         """Yield lengths [m] of a bounded wall that is not from a file, such as radii, each with its key."""
