@@ -40,7 +40,7 @@ class Plane(Wall):
     def periodic_area(self, domain: Domain) -> float | None:
         """See `Wall`."""
         other = [k for k, axis in enumerate(AXES) if axis not in domain.periodic]
-        if len(other) != 1 or not is_parallel(self.normal, np.eye(3)[other[0]]):
+        if len(other) != 1 or not is_parallel(np.asarray(self.normal), np.eye(3)[other[0]]):
             return None
         width = np.subtract(domain.max, domain.min)
         return float(np.prod(np.delete(width, other[0])))
