@@ -21,6 +21,7 @@ PARTICLES = "particles"
 CONTACTS = "contacts"
 WALLS = "walls"
 TOTALS = "totals"
+PARTS = frozenset({PARTICLES, CONTACTS, WALLS, TOTALS})
 """Parts of a snapshot that an observer or a metric can request."""
 
 

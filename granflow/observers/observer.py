@@ -21,7 +21,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from granflow.arguments import items_of, refuse_other, shown
 from granflow.errors import GranflowError, StopRun
-from granflow.snapshot import CONTACTS, PARTICLES, TOTALS, WALLS, Snapshot
+from granflow.snapshot import PARTICLES, PARTS, TOTALS, WALLS, Snapshot
 from granflow.units import seconds_of
 
 
@@ -215,7 +215,7 @@ class on_interval(ScheduledObserver):
         """Set `wants` or `name`. Raises AttributeError for another attribute, which would have no effect."""
         if name == "wants":
             value = frozenset(items_of("wants", value, "parts of a snapshot"))
-            for unknown in value - {PARTICLES, CONTACTS, WALLS, TOTALS}:
+            for unknown in value - PARTS:
                 raise GranflowError(
                     f"wants contains {shown(unknown)}, but has parts of particles, contacts, walls, totals."
                 )

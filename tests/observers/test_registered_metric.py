@@ -115,6 +115,7 @@ def changed(**values):
     (changed(quantities=(Quantity("mean height", "", "m", "x"),)), "its quantity 'mean height' must have"),
     (changed(quantities=(Quantity("mass_flow", "", "kg/s", "x"),)),
      "the quantity mass_flow exists with another meaning"),
+    (changed(wants=frozenset({"contact"})), "its wants is frozenset.*parts of a snapshot: contacts, particles"),
     (changed(measure=Metric.measure), r"it must define measure\(snapshot, scene\)")
 ])  # fmt: skip
 def test_invalid_metrics_are_refused(metric, message):

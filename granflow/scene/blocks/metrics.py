@@ -38,7 +38,7 @@ from granflow.schema.faults import Fault, whole
 from granflow.schema.messages import selecting_keys, unknown_names
 from granflow.schema.model import Model, Names, choose_by_key, is_name, optional
 from granflow.schema.quantities import Vector3
-from granflow.snapshot import CONTACTS, PARTICLES, Snapshot, mobile_particles, selected
+from granflow.snapshot import CONTACTS, PARTICLES, PARTS, Snapshot, mobile_particles, selected
 
 # What a metric is
 
@@ -1026,6 +1026,9 @@ def _problems(metric: type[Metric]) -> Iterator[str]:
             yield f"the quantity {each.name} exists with another meaning"
         elif each.kind != "scalar":
             yield f"its quantity {each.name} must be a scalar"
+    if not isinstance(metric.wants, frozenset) or not metric.wants <= PARTS:
+        parts = ", ".join(sorted(PARTS))
+        yield f"its wants is {shown(metric.wants)}, but must be a frozenset of parts of a snapshot: {parts}"
     if metric.measure is Metric.measure:
         yield "it must define measure(snapshot, scene)"
 
