@@ -3,7 +3,8 @@
 `main` runs each verb within `standard_streams` and `stop_signals`. The first SIGINT (Ctrl-C) or SIGTERM ends
 a verb at once, but only requests that a run stops: it completes the steps in progress, which take about
 `ADVANCE_SECONDS` of the time loop, writes a checkpoint and ends. A second signal ends the process. While C++
-code compiles a kernel no Python handler runs, so that the first signal ends the process as well.
+code compiles a kernel no Python handler runs, and during an import none may raise, so that the first signal
+ends the process as well.
 """
 
 import errno
@@ -14,6 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import Any
 
 from granflow.runs.interrupts import Terminated, stop_of
@@ -76,11 +78,14 @@ class StopSignals:
             if not self._is_stopped:
                 self._set(self._handle)
 
-    def _handle(self, number: int, *_: Any) -> None:
-        """Handler of the first signal: request a stop or raise KeyboardInterrupt."""
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        """Handler of the first signal: request a stop, raise KeyboardInterrupt, or, during an import, end the
+        process, because libraries report an exception in their import as an error of their own."""
         self._is_stopped = True
         self._set(signal.SIG_DFL)
         if self.request is None:
+            if _is_import(frame):
+                signal.raise_signal(number)
             raise stop_of(number)
         with suppress(OSError):
             os.write(2, f"{self.message}\n".encode())  # a stream may be in the middle of a write
@@ -89,6 +94,15 @@ class StopSignals:
     def _set(self, handler: Any) -> None:
         for each in self._handled:
             signal.signal(each, handler)
+
+
+def _is_import(frame: FrameType | None) -> bool:
+    """Whether Python is importing a module in the frame."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 _current: StopSignals | None = None

@@ -5,15 +5,15 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from subprocess_runner import restore_interrupts
 
-pytestmark = [
-    pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
-    pytest.mark.slow,
-]  # needs idle cores
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+idle = pytest.mark.slow  # needs idle cores
 
+ROOT = Path(__file__).resolve().parents[2]
 LIMIT = 1.0
 """Seconds from the signal to the end of the process."""
 
@@ -62,6 +62,7 @@ def assert_ends(running, number):
     return message
 
 
+@idle
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("delay", [0.3, 0.8, 2.0])
 def test_signal_during_compilation_ends_the_run(tmp_path, number, delay):
@@ -72,6 +73,7 @@ def test_signal_during_compilation_ends_the_run(tmp_path, number, delay):
     assert_ends(running, number)
 
 
+@idle
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_during_packing_ends_the_run(tmp_path, number):
     running = started(tmp_path, 900_000)
@@ -79,8 +81,33 @@ def test_signal_during_packing_ends_the_run(tmp_path, number):
     assert_ends(running, number)
 
 
+@idle
 def test_signal_between_launches_writes_a_checkpoint(tmp_path):
     running = started(tmp_path)
     wait_until((tmp_path / "out" / "particles_0001.vtu").exists, running)
     assert "granflow resume out" in assert_ends(running, signal.SIGTERM)
     assert len(list((tmp_path / "out").glob("checkpoint_*.npz"))) == 1
+
+
+LIBRARY = """\
+import signal
+try:
+    signal.raise_signal(signal.NUMBER)
+except BaseException as error:
+    raise ImportError("the library cannot be loaded") from error
+"""
+"""A module that reports any exception of its import as an error of its own, as compiled ones do."""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_signal_during_an_import_ends_the_process(tmp_path, name):
+    (tmp_path / "library.py").write_text(LIBRARY.replace("NUMBER", name))
+    program = "from granflow.cli.process import stop_signals\nwith stop_signals():\n    import library"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])},
+        preexec_fn=restore_interrupts,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (-signal.Signals[name], "")
