@@ -18,7 +18,12 @@ def test_programs_of_users_pass_a_strict_type_check(tmp_path):
     (tmp_path / "mypy.ini").write_text("[mypy]\nplugins = pydantic.mypy\nfollow_imports = silent\n")
     names = "\n".join(f"reveal_type(gf.{name})" for name in gf.__all__)
     (tmp_path / "names.py").write_text(f"from typing import reveal_type\nimport granflow as gf\n{names}\n")
-    wrong = ("gf.Scene.from_dict(1)", "gf.Material(density=1)", "gf.read_run(1)", "gf.Simulation('a.yaml')")
+    wrong = (
+        "gf.Scene.from_dict(1)",
+        "gf.Plane(material='glass')",
+        "gf.read_run(1)",
+        "gf.Simulation('a.yaml')",
+    )
     (tmp_path / "wrong.py").write_text("\n".join(["import granflow as gf", *wrong]))
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file", tmp_path / "mypy.ini"]
     command += ["--cache-dir", tmp_path / "cache", Path(__file__).with_name("typed_program.py")]

@@ -20,9 +20,9 @@ def drag(position: Any, velocity: Any, radius: Any, mass: Any, time: Any, parame
 scene: gf.Scene = gf.Scene(
     title="Beads",
     gravity=[0, 0, -9.81],
-    materials={"glass": gf.Material(young_modulus="60 MPa", poisson_ratio=0.25, density="2.5 g/cm3")},
-    pairs={"glass-glass": gf.MaterialPair(restitution=0.8, friction=0.5)},
-    contact=gf.Contact(normal="zhou", tangential="mindlin", rolling="none"),
+    materials={"glass": gf.Material(preset="glass", young_modulus="60 MPa")},
+    pairs={"glass-glass": gf.MaterialPair(restitution=0.8, friction=0.5, rolling_friction=0.1)},
+    contact=gf.Contact(normal="zhou", tangential="mindlin", rolling="epsd"),
     walls={"gate": gf.Plane(material="glass", point=[0, 0, 0], normal=[0, 0, 1])},
     particles={"feed": gf.Group(material="glass", count=9, diameter="4 mm", insert=gf.PythonInsertion())},
     domain=gf.Domain(min=[-0.1, -0.1, -0.1], max=[0.1, 0.1, 0.1], on_exit="error"),

@@ -7,7 +7,7 @@ mapping is created here: it adds `law` to the class of the options.
 
 from collections.abc import Callable
 from functools import cache
-from typing import Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, Tag, create_model
 from pydantic.fields import FieldInfo
@@ -41,6 +41,10 @@ class Contact(Model):
 
     # `use_registry` replaces this type by that of the registered models, and adds the other slots.
     normal: LawSettings
+
+    if TYPE_CHECKING:  # keys of slots
+
+        def __init__(self, *, normal: Any, **slots: Any) -> None: ...
 
     def name(self, slot: str) -> str:
         """Name of the model of a slot, or "none"."""

@@ -7,7 +7,7 @@ declare further keys of pairs (`PairProperties`), which `use_registry` adds to `
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import ConfigDict, Field, Tag, model_validator
 from pydantic.fields import FieldInfo
@@ -117,6 +117,10 @@ class Material(Model):
         examples=[[3.0, 0.5]],
     )
 
+    if TYPE_CHECKING:  # a preset supplies required keys, contact models add keys
+
+        def __init__(self, **keys: Any) -> None: ...
+
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
@@ -203,6 +207,10 @@ class MaterialPair(Model):
         ),
     )
     friction: FrictionCoefficient = Field(description="Coulomb friction coefficient; 0 for no friction")
+
+    if TYPE_CHECKING:  # keys that contact models add
+
+        def __init__(self, *, friction: Any, restitution: Any = None, **properties: Any) -> None: ...
 
     @property
     def fit(self) -> RestitutionFit | None:

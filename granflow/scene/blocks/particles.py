@@ -6,7 +6,7 @@
 
 from collections.abc import Iterator
 from math import log, sqrt
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -213,6 +213,10 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     )
     insert: Insertion = Field(description=f"insertion, {{kind: {', '.join(kinds(lambda kind: True))}, ...}}")
     _count_of_flow: int | None = PrivateAttr(None)
+
+    if TYPE_CHECKING:  # keys that particle equations add
+
+        def __init__(self, *, material: Any, insert: Any, **keys: Any) -> None: ...
 
     @property
     def count(self) -> int:
