@@ -22,6 +22,7 @@ from granflow.particles.resolve import resolved_input
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import Precision
 from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.sizes import SizeDistribution
 from granflow.scene.reader import document_in, scene_in
 from granflow.schema.document import DocumentError, document_of, parse
 from granflow.schema.model import Model
@@ -124,12 +125,15 @@ class Scene(SceneInput):
         return target
 
     def input_names(self) -> Iterator[tuple[str, str]]:
-        """Yield key and path of each mesh, motion and particle file, relative to the folder of the scene."""
+        """Yield key and path of each mesh, motion, particle and sieve file, relative to the folder of the
+        scene."""
         for name, wall in self.walls.items():
             yield from ((f"walls.{name}.{key}", file) for key, file in wall.files())
         for name, group in self.particles.items():
             if group.insert.source is not None:
                 yield f"particles.{name}.insert.file", group.insert.source
+            if isinstance(group.diameter, SizeDistribution) and group.diameter.source is not None:
+                yield f"particles.{name}.diameter.file", group.diameter.source
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as YAML: another process reads and checks it again, without its particle files."""
@@ -323,11 +327,13 @@ def _free(wanted: PurePath, source: Path, taken: dict[str, Path]) -> str:
 
 
 def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
-    """A group with the path of the copy of its particle file."""
-    if group.insert.source is None:
-        return group
-    insertion = group.insert.with_source(copies[group.insert.source])
-    return group.model_copy(update={"insert": insertion})
+    """A group with the paths of the copies of its files."""
+    changes: dict[str, Any] = {}
+    if group.insert.source is not None:
+        changes["insert"] = group.insert.with_source(copies[group.insert.source])
+    if isinstance(group.diameter, SizeDistribution) and group.diameter.source is not None:
+        changes["diameter"] = group.diameter.with_source(copies[group.diameter.source])
+    return group.model_copy(update=changes)
 
 
 # Identity of a scene

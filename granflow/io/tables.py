@@ -25,6 +25,7 @@ from granflow.io.files import (
     replacing,
     separate_from_links,
 )
+from granflow.units import UnitError, factor_of
 
 # Reading
 
@@ -32,6 +33,10 @@ COMMENT = "#"
 """First character of lines that are ignored; a header may begin with it as well."""
 MOST_COMMENTS = 100
 """Number of lines that may precede the header."""
+SEPARATORS = (";", ",", "\t", None)
+"""Separators of input tables, in the order in which they are tried; None stands for white space."""
+UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+"""The unit in brackets at the end of a column name."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,21 @@ class Table:
             return np.array(cells, dtype=str).astype(np.float64)
         except ValueError:
             return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+
+
+def unit_factor(path: Path, table: Table, index: int, dimension: str) -> float:
+    """Factor of a column of a dimension to SI, from the unit after its name; 1 without a unit.
+
+    Raises FileError for an invalid unit.
+    """
+    name = table.names[index]
+    unit = UNIT.search(name)
+    if unit is None or not unit[1].strip():
+        return 1.0
+    try:
+        return factor_of(unit[1].strip(), dimension)
+    except UnitError as error:
+        raise FileError(f"{path}:{table.heading_line}: the unit of {name} is invalid: {error}.") from None
 
 
 def is_number(cell: str) -> bool:

@@ -14,10 +14,9 @@ import numpy as np
 
 from granflow.errors import FileError, SceneError
 from granflow.io.files import FormatError, read_text, resolved
-from granflow.io.tables import Table, is_number, table_in
+from granflow.io.tables import SEPARATORS, UNIT, Table, is_number, table_in, unit_factor
 from granflow.io.vtu import read_vtu
 from granflow.particles.group import ParticleData, SceneGroup, particles_of
-from granflow.units import UnitError, factor_of
 
 # Tables of particles: text with named columns in common formats, or a VTU frame.
 
@@ -25,8 +24,6 @@ MOST_SHOWN = 20
 """Largest number of problems shown per file; the message gives the number of the others."""
 RowProblem = tuple[int, str]
 """Line number and error message."""
-SEPARATORS = (";", ",", "\t", None)
-"""Separators of text files, in the order in which they are tried; None stands for white space."""
 COLUMN_NAMES = {
     "position": (
         "",
@@ -58,7 +55,6 @@ COLUMN_DIMENSIONS = dict.fromkeys(("position", "radius", "diameter"), "length") 
 """Dimension of each quantity, in which the unit of its columns is converted to SI."""
 ROUNDING = 1e-4
 """Relative difference of a number that is given twice, in text with at least four digits."""
-UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 
 @dataclass(frozen=True)
@@ -330,21 +326,6 @@ def _is_header(names: Sequence[str]) -> bool:
     """Whether the columns with these names define position and size."""
     columns = _columns_by_quantity(names)
     return "position" in columns and ("radius" in columns or "diameter" in columns)
-
-
-def unit_factor(path: Path, table: Table, index: int, dimension: str) -> float:
-    """Factor of a column of a dimension to SI, from the unit after its name; 1 without a unit.
-
-    Raises SceneError for an invalid unit.
-    """
-    name = table.names[index]
-    unit = UNIT.search(name)
-    if unit is None or not unit[1].strip():
-        return 1.0
-    try:
-        return factor_of(unit[1].strip(), dimension)
-    except UnitError as error:
-        raise SceneError(f"{path}:{table.heading_line}: the unit of {name} is invalid: {error}.") from None
 
 
 # Particle groups from files: selection of the rows of each group, and their particles.

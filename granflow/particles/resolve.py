@@ -1,7 +1,8 @@
 """Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Resolves counts from masses, end times and the duration, summaries of particle files, motions of walls from
-CSV files, and `scale`. Resolving is idempotent. The resolved scene is used for the run and saved with it.
+Resolves motions and sieve curves from CSV files first, then `scale`, then counts from masses, end times and
+the duration, and summaries of particle files. Resolving is idempotent. The resolved scene is used for the run
+and saved with it.
 """
 
 from collections.abc import Iterator
@@ -15,13 +16,14 @@ from pydantic.fields import FieldInfo
 from granflow.errors import FileError, SceneError
 from granflow.geometry.close_pairs import near_pairs
 from granflow.io.files import FormatError, resolved
-from granflow.io.tables import Table, read_table
-from granflow.particles.file import UNIT, ParticleTable, rows_of, unassigned_rows, unit_factor
+from granflow.io.tables import UNIT, Table, read_table, unit_factor
+from granflow.particles.file import ParticleTable, rows_of, unassigned_rows
 from granflow.particles.group import SceneGroup, groups_of
 from granflow.scene.blocks.insertions import FileSummary, TimedInsertion
 from granflow.scene.blocks.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.sizes import SizeDistribution
 from granflow.schema.messages import nearest
 from granflow.schema.model import Model
 from granflow.schema.quantities import LARGEST_COUNT, Number
@@ -33,13 +35,13 @@ ROUNDING_SHARE = 1e-9
 def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
     """The scene with all counts, at scale 1.
 
-    `read`: read existing particle files again even if the scene has their summary, and check that each of
-    their rows belongs to a group. Remarks for the user are in `remarks` of the result. The argument is not
-    modified.
+    `read`: read existing files again even if the scene has their content or summary, and check that each row
+    of particle files belongs to a group. Remarks for the user are in `remarks` of the result. The argument is
+    not modified.
 
     Raises SceneError with the problems of all groups.
     """
-    scene, remarks = _at_scale_1(with_motion_files(scene, read))
+    scene, remarks = _at_scale_1(_with_files(scene, read))
     groups: dict[str, Group] = {}
     problems: list[str] = []
     given = groups_of(scene)
@@ -255,7 +257,63 @@ def _overlap(group: SceneGroup, rows: ParticleTable) -> tuple[float, str]:
     return float(relative_overlap[worst]), f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"
 
 
-# Motions of walls from CSV files: the rows of a file become the columns of the motion.
+# Motions of walls and size distributions from CSV files, whose rows become values of the scene.
+
+
+def _with_files(scene: SceneInput, read: bool) -> SceneInput:
+    """The scene with the contents of all files of motions and size distributions.
+
+    `read`: see `resolved_input`. Raises SceneError with the problems of all files.
+    """
+    walls, groups = dict(scene.walls), dict(scene.particles)
+    problems = list[str]()
+    for name, wall in scene.walls.items():
+        motions = list(wall.motion)
+        for index, motion in enumerate(motions):
+            if isinstance(motion, TableMotion) and motion.file is not None:
+                if motion.times is not None and not (read and (scene.folder / motion.file).exists()):
+                    continue
+                try:
+                    motions[index] = _with_columns(_existing(scene.folder, motion.file), motion)
+                except (FileError, FormatError, OSError) as error:
+                    location = scene.locate("walls", name, "motion", index, "file")
+                    problems += _unusable(location, f"walls.{name}.motion.file", motion.file, error)
+        walls[name] = wall.model_copy(update={"motion": tuple(motions)})
+    for name, group in scene.particles.items():
+        sizes = group.diameter
+        if isinstance(sizes, SizeDistribution) and sizes.source is not None:
+            if sizes.is_read and not (read and (scene.folder / sizes.source).exists()):
+                continue
+            try:
+                read_sizes = sizes.read(_existing(scene.folder, sizes.source))
+                groups[name] = group.model_copy(update={"diameter": read_sizes})
+            except (FileError, FormatError, OSError) as error:
+                location = scene.locate("particles", name, "diameter", "file")
+                problems += _unusable(location, f"particles.{name}.diameter.file", sizes.source, error)
+    if problems:
+        raise SceneError(problems)
+    return scene.model_copy(update={"walls": walls, "particles": groups})
+
+
+def _existing(folder: Path, file: str) -> Path:
+    """The path of a file of the scene. Raises OSError for circular links, FormatError if there is no file."""
+    path = folder / file
+    if not resolved(path).exists():
+        raise FormatError("there is no such file; its path is relative to the folder of the scene")
+    return path
+
+
+def _unusable(
+    location: str, key: str, file: str, error: FileError | FormatError | OSError
+) -> tuple[str, ...]:
+    """Error messages for a file of the scene: those of its lines, or one for the whole file."""
+    if isinstance(error, FileError):
+        return error.problems
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    return (f"{location}: {key} is {file}, which cannot be used: {reason}.",)
+
+
+# Motions: the columns of a file become the columns of the motion.
 
 MOTION_KEYS = {
     "time": "times",
@@ -269,51 +327,17 @@ MOTION_DIMENSIONS = {"times": "time"} | TABLE_COLUMNS
 """Dimension of each key."""
 
 
-def with_motion_files(scene: SceneInput, read: bool) -> SceneInput:
-    """The scene with the columns of all motions from files.
-
-    `read`: read existing files again even if the scene has their columns. Raises SceneError with the problems
-    of all files.
-    """
-    walls = dict(scene.walls)
-    problems = list[str]()
-    for name, wall in scene.walls.items():
-        motions = list(wall.motion)
-        for index, motion in enumerate(motions):
-            if isinstance(motion, TableMotion) and motion.file is not None:
-                known = motion.times is not None and not (read and (scene.folder / motion.file).exists())
-                location = scene.locate("walls", name, "motion", index, "file")
-                key = f"walls.{name}.motion.file"
-                try:
-                    motions[index] = motion if known else _with_columns(scene.folder, motion)
-                except FileError as error:
-                    problems += error.problems
-                except (FormatError, OSError) as error:
-                    reason = error.strerror if isinstance(error, OSError) else str(error)
-                    problems.append(f"{location}: {key} is {motion.file}, which cannot be used: {reason}.")
-        walls[name] = wall.model_copy(update={"motion": tuple(motions)})
-    if problems:
-        raise SceneError(problems)
-    return scene.model_copy(update={"walls": walls})
-
-
-def _with_columns(folder: Path, motion: TableMotion) -> TableMotion:
+def _with_columns(path: Path, motion: TableMotion) -> TableMotion:
     """The motion with the columns of its file.
 
-    Raises OSError or FormatError if the file cannot be read, and FileError for an invalid table.
+    Raises OSError if the file cannot be read, and FileError for an invalid table.
     """
-    path = resolved(folder / str(motion.file))
-    if not path.exists():
-        raise FormatError("there is no such file; its path is relative to the folder of the scene")
     table = read_table(path)
-    source = folder / str(motion.file)
     if table is None or not table.rows:
-        raise FileError(
-            [f"{source}: the table has no rows; give a header such as time [s], displacement [m]."]
-        )
-    columns = _motion_columns(source, table)
+        raise FileError([f"{path}: the table has no rows; give a header such as time [s], displacement [m]."])
+    columns = _motion_columns(path, table)
     if len(table.rows) > MOST_ROWS:
-        raise FileError([f"{source}: the table has {len(table.rows)} rows, and the limit is {MOST_ROWS}."])
+        raise FileError([f"{path}: the table has {len(table.rows)} rows, and the limit is {MOST_ROWS}."])
     return motion.model_copy(update=dict.fromkeys(TABLE_COLUMNS) | columns)
 
 

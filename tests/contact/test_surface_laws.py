@@ -41,6 +41,7 @@ VARIANTS = [
     Variant(marshall.MODEL, {"damping": 1.3}),
     Variant(torsion_spring.MODEL, {"stiffness": 1e-3, "damping": 5e-9}),
     Variant(linear_history.MODEL, {"stiffness": 3e4, "damping": 0.5}),
+    Variant(linear_history.MODEL, {"stiffness": 3e4, "damping": 0.5, "dashpot": "sticking"}),
 ]
 every_variant = pytest.mark.parametrize("variant", VARIANTS, ids=str)
 every_limited_variant = pytest.mark.parametrize(
@@ -262,3 +263,26 @@ def test_a_sliding_impact_has_the_friction_of_the_whole_normal_force(taichi_f64)
         shares.append(-force / (COEFFICIENT * load[0]))
     assert shares[0] == pytest.approx(np.ones(200), rel=1e-12)
     assert shares[1].min() < 0.5
+
+
+def test_dashpot_of_a_spring_of_constant_stiffness(taichi_f64):
+    """Spring 3e4 N/m, dashpot 0.5 * 2 kg/s from the second step on, limit 0.6 N, slip 8 um per step at 1 m/s:
+    the spring has 0.24 N and 0.48 N, and reaches the limit in the third step.
+
+    sticking: 0.48 N + 1 N in the second step, then the limit without dashpot. limited: at most 0.6 N.
+    """
+    for rule, second in (("sticking", -1.48), ("limited", -0.6)):
+        law, pair = law_and_pair(
+            Variant(linear_history.MODEL, {"stiffness": 3e4, "damping": 0.5, "dashpot": rule})
+        )
+        slip = np.zeros((1, 4, 3))
+        slip[..., 0] = 8e-6
+        up = np.broadcast_to([0.0, 0.0, 1.0], slip.shape)
+        numbers = {
+            "radius_eff": RADIUS, "mass_eff": MASS, "inertia_eff": 0.4 * MASS * RADIUS**2, "time_step": 8e-6,
+            "longest_time_step": 8e-6, "overlap": 2.5e-3, "overlap_rate": 0.0, "stiffness": STIFFNESS,
+            "normal_damping": 2.0, "normal_load": 0.6 / COEFFICIENT, "stiffness_ratio": 1.0,
+        }  # fmt: skip
+        vectors = {"normal": up, "normal_half": up, "slip": slip, "slip_rate": slip / 8e-6}
+        found = evaluate_surface(law, pair, numbers, vectors | {"rolling_rate": 0.0 * slip})
+        assert found.force[0, :, 0] == pytest.approx([-0.24, second, -0.6, -0.6], rel=1e-12)

@@ -10,7 +10,7 @@ TUBE = {"cylinder": {"from": [0, 0, 0.1], "to": [0.06, 0, 0.18], "radius": 0.05}
 UNIFORM = {"distribution": "uniform", "min": 0.003, "max": 0.005}
 
 
-def scene_with(groups, seed=1):
+def scene_with(groups, seed=1, folder=None):
     """A scene with the given groups: mappings with insert, count, diameter and other keys."""
     material = {"young_modulus": 1e9, "poisson_ratio": 0.3, "density": 2500}
     return Scene.from_dict(
@@ -28,7 +28,8 @@ def scene_with(groups, seed=1):
             "domain": {"min": [-1, -1, -1], "max": [1, 1, 1], "on_exit": "delete"},
             "run": {"duration": 1},
             "output": {"interval": 0.1},
-        }
+        },
+        folder,
     )
 
 

@@ -5,7 +5,8 @@ import pytest
 from particles.scenes import BOX, scene_with
 from scipy import integrate, stats
 
-from granflow.scene.blocks.sizes import GivenSizes
+from granflow.errors import FileError
+from granflow.scene.blocks.sizes import GivenSizes, SieveSizes
 
 COUNT = 20_000
 
@@ -91,6 +92,57 @@ def test_masses_follow_the_sieve_curve():
     cubes = 1e4 * 0.003**3
     count = spec.count_for_volume(cubes, lambda: np.random.default_rng(2))
     assert (spec.draw(count, np.random.default_rng(2)) ** 3).sum() == pytest.approx(cubes, abs=0.004**3)
+
+
+SIEVE_FILES = {
+    "passing in %, from the largest sieve": "Aperture (mm);Cumulative passing (%)\n4;100\n3;30\n2;30\n1;0\n",
+    "share, spaces, other columns": "name size[um] mass[g] passing\na 1e3 9 0\nb 2e3 9 0.3\nc 3e3 9 0.3\nd 4e3 9 1\n",
+    "retained masses": "# 2 kg\nopening [m],mass [g]\n0.001,45\n0.002,0\n0.003,105\n0.004,0\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", SIEVE_FILES.values(), ids=SIEVE_FILES)
+def test_sieve_curve_of_a_file(text, tmp_path):
+    (tmp_path / "sieves.csv").write_text(text)
+    group = {"mass": 0.01, "diameter": {"distribution": "sieve", "file": "sieves.csv"}}
+    scene = scene_with({"beads": group | {"insert": {"kind": "pack", "region": BOX}}}, folder=tmp_path)
+    curve = scene.particles["beads"].diameter.curve
+    assert [each.opening for each in curve] == pytest.approx([0.001, 0.002, 0.003, 0.004], rel=1e-15)
+    assert [each.passing for each in curve] == pytest.approx([0.0, 0.3, 0.3, 1.0], rel=1e-15)
+    assert scene.particles["beads"].count > 100, "the count follows from the mass and the curve"
+
+
+FAULTY_SIEVES = {
+    "": ": the table has no rows; give a header such as opening [mm], passing [%].",
+    "opening,passing\n1,1\n": ": a sieve curve has 2 to 1000 rows, and this table has 1.",
+    "x,y\n1,0\n2,1\n": ":1: the columns are x, y, but opening and one of passing (cumulative) and mass "
+    "(retained on each sieve) are expected, with units such as opening [mm], passing [%].",
+    "opening,passing [kg]\n1,0\n2,1\n": ":1: the unit of passing [kg] is invalid: ",
+    "opening,passing\n1\n2,1\n": ":2: the row must have 2 values, as the header.",
+    "opening,mass\n0,1\n2,x\n": ":2: opening is 0, but it must be a number above 0; for the pan, give the "
+    "smallest diameter of the particles.|:3: mass is x, but it must be a number of at least 0.",
+    "size,passing\n1,0\n2,100\n": ":3: passing is 100, but it must be at most 1; if the column is in percent, "
+    "write passing [%] in the header.",
+    "size [mm],passing [%]\n2,50\n3,40\n1,10\n": ":4: passing [%] is 10, but the smallest sieve must pass 0; "
+    "add a sieve with the smallest diameter of the particles.|:3: passing [%] is 40, but the next "
+    "smaller sieve passes 50 %; shares must not decrease.|:3: passing [%] is 40, but the largest sieve must pass 1 "
+    "(100 %); add a sieve with the largest diameter of the particles.",
+    "size [mm],passing\n1,0\n1,0.5\n2,1\n": ":3: size [mm] is 1, but openings must increase, and the one "
+    "before it is 0.001 m.",
+    "size,mass\n1,1\n2,1\n": ":3: mass is 1, but the largest sieve must retain 0; add a sieve with the largest "
+    "diameter of the particles.",
+    "size,mass\n1,0\n2,0\n": ":2: mass is 0, but at least one sieve must retain something.",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", FAULTY_SIEVES)
+def test_faulty_file_of_a_sieve_curve_is_rejected_with_its_line(text, tmp_path):
+    path = tmp_path / "sieves.csv"
+    path.write_text(text)
+    with pytest.raises(FileError) as caught:
+        SieveSizes(file="sieves.csv").read(path)
+    expected = [f"{path}{each}" for each in FAULTY_SIEVES[text].split("|")]
+    assert all(a.startswith(b) for a, b in zip(caught.value.problems, expected, strict=True))
 
 
 def test_class_counts_by_number_are_exact_within_one_particle():

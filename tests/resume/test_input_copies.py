@@ -9,7 +9,7 @@ from resume.runs import balls, files_of
 
 import granflow as gf
 from granflow.cli.main import main
-from granflow.load import copied_scene, load_scene
+from granflow.load import copied_scene, load_scene, scene_of
 from granflow.runs.run_directory import RunDirectory
 
 pytestmark = pytest.mark.usefixtures("taichi_f64")
@@ -50,6 +50,18 @@ def test_run_continues_from_copies_of_input_files_outside_the_scene_folder(scene
     assert copied_scene(written) is written
     assert main(["resume", str(there), "--threads", "2"]) == 0
     assert files_of(there) == files_of(whole)
+
+
+def test_sieve_curve_is_copied_and_kept_without_its_file(tmp_path):
+    (tmp_path / "sieves.csv").write_text("opening [mm],passing [%]\n3,0\n4,40\n5,100\n")
+    (tmp_path / "scenes").mkdir()
+    path = tmp_path / "scenes" / "sieved.yaml"
+    path.write_text(TEXT)
+    scene = load_scene(path, ["particles.beads.diameter={distribution: sieve, file: ../sieves.csv}"])
+    written = copied_scene(scene)
+    assert [name for _, name in written.input_names()] == ["inputs/sieves.csv"]
+    elsewhere = scene_of(written.to_yaml(), str(tmp_path / "there" / "scene.yaml"))
+    assert elsewhere.particles["beads"].size_spans() == [(0.003, 0.005)]
 
 
 def test_copies_of_equal_names_are_numbered_and_links_are_followed(scene, tmp_path):

@@ -7,18 +7,23 @@ are excluded, not clamped.
 """
 
 import math
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from statistics import NormalDist
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from granflow.errors import FileError
+from granflow.io.files import read_text
+from granflow.io.tables import SEPARATORS, UNIT, Table, table_in, unit_factor
 from granflow.schema import quantities as q
-from granflow.schema.faults import Fault, whole_error
-from granflow.schema.model import ListOf, Model, choose_by_key
+from granflow.schema.faults import Fault, missing, whole_error
+from granflow.schema.model import FileName, ListOf, Model, choose_by_key
 
 MAX_COUNTED = 10_000_000
 """Largest count that is derived from a mass by summation; larger counts follow from the mean of a sample."""
@@ -33,6 +38,27 @@ class SizeDistribution:
     """
 
     has_classes: ClassVar[bool] = False
+
+    @property
+    def source(self) -> str | None:
+        """Path of the file with the distribution, relative to the folder of the scene; None without one."""
+        return None
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the content of the file is known; without a file, true."""
+        return True
+
+    def with_source(self, path: str) -> "SizeDistribution":
+        """This distribution with another path of its file; a run saves a copy of the file."""
+        raise NotImplementedError
+
+    def read(self, path: Path) -> "SizeDistribution":
+        """This distribution with the content of its file.
+
+        Raises OSError if the file cannot be read, and FileError with its invalid rows.
+        """
+        raise NotImplementedError
 
     @property
     def is_single(self) -> bool:
@@ -236,7 +262,8 @@ class Sieve(Model):
 class SieveSizes(SizeDistribution, Model):
     """A sieve curve: the cumulative mass that passes each sieve; linear in the diameter between two sieves.
 
-    The first sieve passes nothing, the last one everything.
+    The smallest sieve passes nothing, the largest one everything. The curve is given in the scene, or in a
+    CSV file with a row for each sieve.
 
     >>> curve = [{"opening": "1 mm", "passing": 0}, {"opening": "2 mm", "passing": 0.3},
     ...          {"opening": "4 mm", "passing": 1}]
@@ -245,28 +272,59 @@ class SieveSizes(SizeDistribution, Model):
     """
 
     distribution: Literal["sieve"] = Field("sieve", description="kind of size distribution")
-    sieves: Annotated[tuple[Sieve, ...], ListOf(some="[{opening: 1 mm, passing: 0}, ...]")] = Field(
-        description="list of {opening, passing}, from the smallest opening to the largest"
+    file: FileName | None = Field(
+        None,
+        description=(
+            "CSV file with the columns opening (or aperture, size) and passing (cumulative) or mass "
+            "(retained on each sieve), such as opening [mm], passing [%]; path relative to the folder of the "
+            "scene"
+        ),
+        examples=["sieve_analysis.csv"],
     )
+    sieves: Annotated[tuple[Sieve, ...], ListOf(some="[{opening: 1 mm, passing: 0}, ...]")] | None = Field(
+        None,
+        description=(
+            "list of {opening, passing}, from the smallest opening to the largest; instead of a file, or "
+            "from it"
+        ),
+    )
+
+    @property
+    def curve(self) -> tuple[Sieve, ...]:
+        """The sieves in ascending order. Raises ValueError if the file is not read yet."""
+        if self.sieves is None:
+            raise ValueError("The sieve curve is not read; see granflow.particles.resolve.")
+        return self.sieves
+
+    @property
+    def source(self) -> str | None:
+        """Path of the CSV file."""
+        return self.file
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the sieves are known."""
+        return self.sieves is not None
+
+    def with_source(self, path: str) -> "SieveSizes":
+        """See `SizeDistribution`."""
+        return self.model_copy(update={"file": path})
+
+    def read(self, path: Path) -> "SieveSizes":
+        """See `SizeDistribution`."""
+        return self.model_copy(update={"sieves": _sieves_in(path)})
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless openings and shares increase, from the share 0 to 1."""
-        for index, (before, now) in enumerate(pairwise(self.sieves), 1):
-            if now.opening <= before.opening:
-                reason = f"it must be above the opening before it, {before.opening:g} m"
-                yield Fault(("sieves", index, "opening"), reason)
-            if now.passing < before.passing:
-                reason = f"it must be at least the share before it, {before.passing:g}"
-                yield Fault(("sieves", index, "passing"), reason)
-        if self.sieves[0].passing != 0.0:
-            yield Fault(("sieves", 0, "passing"), "the first sieve must pass 0; add the smallest diameter")
-        if self.sieves[-1].passing != 1.0:
-            last = len(self.sieves) - 1
-            yield Fault(("sieves", last, "passing"), "the last sieve must pass 1; add the largest diameter")
+        if self.sieves is not None:
+            for index, key, reason in _curve_faults(self.sieves):
+                yield Fault(("sieves", index, key), reason)
+        elif self.file is None:
+            yield missing(("sieves",), "list of {opening, passing}; or give file")
 
     def spans(self) -> list[tuple[float, float]]:
         """The ranges between sieves of which the lower one retains something."""
-        ranges = [(a.opening, b.opening) for a, b in pairwise(self.sieves) if b.passing > a.passing]
+        ranges = [(a.opening, b.opening) for a, b in pairwise(self.curve) if b.passing > a.passing]
         joined = ranges[:1]
         for low, high in ranges[1:]:
             if low == joined[-1][1]:
@@ -281,9 +339,9 @@ class SieveSizes(SizeDistribution, Model):
         Between the sieves a and b with the mass share w, the number of particles is proportional to
         w (a^-2 - b^-2) / (2 (b - a)), and d^-2 is uniform.
         """
-        opening = np.array([each.opening for each in self.sieves])
+        opening = np.array([each.opening for each in self.curve])
         low, high = opening[:-1] ** -2.0, opening[1:] ** -2.0
-        mass = np.diff([each.passing for each in self.sieves])
+        mass = np.diff([each.passing for each in self.curve])
         number = np.cumsum(mass * (low - high) / np.diff(opening))
         share = stratified(count, random) * number[-1]
         between = np.minimum(np.searchsorted(number, share, side="right"), len(mass) - 1)
@@ -291,6 +349,127 @@ class SieveSizes(SizeDistribution, Model):
         within = (share - before) / (number[between] - before)
         drawn = (low[between] - within * (low - high)[between]) ** -0.5
         return np.clip(drawn, opening[between], opening[between + 1])
+
+
+def _curve_faults(sieves: Sequence[Sieve]) -> Iterator[tuple[int, str, str]]:
+    """Index, key and reason of each value that is not part of a sieve curve."""
+    if sieves[0].passing != 0.0:
+        reason = "the smallest sieve must pass 0; add a sieve with the smallest diameter of the particles"
+        yield 0, "passing", reason
+    for index, (before, now) in enumerate(pairwise(sieves), 1):
+        if now.opening <= before.opening:
+            reason = f"openings must increase, and the one before it is {before.opening:g} m"
+            yield index, "opening", reason
+        if now.passing < before.passing:
+            reason = f"the next smaller sieve passes {100 * before.passing:g} %; shares must not decrease"
+            yield index, "passing", reason
+    if sieves[-1].passing != 1.0:
+        reason = (
+            "the largest sieve must pass 1 (100 %); add a sieve with the largest diameter of the particles"
+        )
+        yield len(sieves) - 1, "passing", reason
+
+
+# Sieve curves in CSV files
+
+MOST_SIEVES = 1000
+"""Largest number of rows of a file: a run saves them in its scene."""
+SIEVE_COLUMNS = {
+    "opening": {"opening", "aperture", "size", "diameter", "sieve", "sievesize", "meshsize", "particlesize"},
+    "passing": {"passing", "cumulativepassing", "finer", "undersize"},
+    "mass": {"mass", "massfraction", "retained", "massretained"},
+}
+"""Names of each column in lowercase without punctuation. `mass` is what a sieve retains, in any unit."""
+
+
+def _sieve_columns(names: Sequence[str]) -> dict[str, int]:
+    """Index of each column of SIEVE_COLUMNS that a header has."""
+    plain = [re.sub(r"[^a-z]", "", UNIT.sub("", name).lower()) for name in names]
+    found = {
+        key: [k for k, name in enumerate(plain) if name in words] for key, words in SIEVE_COLUMNS.items()
+    }
+    return {key: columns[0] for key, columns in found.items() if columns}
+
+
+def _is_sieve_header(names: Sequence[str]) -> bool:
+    """Whether a header has the columns of a sieve curve."""
+    columns = _sieve_columns(names)
+    return "opening" in columns and len(columns) > 1
+
+
+def _sieves_in(path: Path) -> tuple[Sieve, ...]:
+    """The sieves in a CSV file, whose rows may have any order; with both columns, `passing` applies.
+
+    Raises OSError if the file cannot be read, and FileError for its header and its invalid rows.
+    """
+    table = _sieve_table(path)
+    columns = _sieve_columns(table.names)
+    given = "passing" if "passing" in columns else "mass"
+
+    def problem(row: int, column: str, reason: str) -> str:
+        """Error message for a cell."""
+        line, cells = table.rows[row]
+        index = columns[column]
+        return f"{path}:{line}: {table.names[index]} is {cells[index]}, but {reason}."
+
+    opening = table.numbers(columns["opening"])
+    share = table.numbers(columns[given])
+    pan = "it must be a number above 0; for the pan, give the smallest diameter of the particles"
+    problems = [problem(row, "opening", pan) for row in np.flatnonzero(~(opening > 0.0))]
+    problems += [
+        problem(row, given, "it must be a number of at least 0") for row in np.flatnonzero(~(share >= 0.0))
+    ]
+    if problems:
+        raise FileError(problems)
+
+    order = np.argsort(opening, kind="stable")
+    opening = opening[order] * unit_factor(path, table, columns["opening"], "length")
+    share = share[order]
+    if given == "passing":
+        share = share * unit_factor(path, table, columns["passing"], "number")
+        if share.max() > 1.0:
+            reason = "it must be at most 1; if the column is in percent, write passing [%] in the header"
+            raise FileError(problem(order[share.argmax()], "passing", reason))
+    elif share[-1] > 0.0:
+        reason = "the largest sieve must retain 0; add a sieve with the largest diameter of the particles"
+        raise FileError(problem(order[-1], "mass", reason))
+    elif not share.any():
+        raise FileError(problem(order[0], "mass", "at least one sieve must retain something"))
+    else:
+        share = np.concatenate([[0.0], np.cumsum(share[:-1])])
+        share = share / share[-1]
+    sieves = tuple(
+        Sieve(opening=float(size), passing=float(finer)) for size, finer in zip(opening, share, strict=True)
+    )
+    for index, key, reason in _curve_faults(sieves):
+        problems.append(problem(order[index], key if key == "opening" else given, reason))
+    if problems:
+        raise FileError(problems)
+    return sieves
+
+
+def _sieve_table(path: Path) -> Table:
+    """The table in a file with the columns of a sieve curve, all rows with the length of the header.
+
+    Raises OSError if the file cannot be read, and FileError for another header or number of rows.
+    """
+    table = table_in(read_text(path), path, SEPARATORS, _is_sieve_header)
+    if table is None:
+        raise FileError(f"{path}: the table has no rows; give a header such as opening [mm], passing [%].")
+    if not _is_sieve_header(table.names):
+        raise FileError(
+            f"{path}:{table.heading_line}: the columns are {', '.join(table.names)}, but opening and one of "
+            "passing (cumulative) and mass (retained on each sieve) are expected, with units such as opening "
+            "[mm], passing [%]."
+        )
+    if not 2 <= len(table.rows) <= MOST_SIEVES:
+        raise FileError(
+            f"{path}: a sieve curve has 2 to {MOST_SIEVES} rows, and this table has {len(table.rows)}."
+        )
+    for line, cells in table.rows:
+        if len(cells) != len(table.names):
+            raise FileError(f"{path}:{line}: the row must have {len(table.names)} values, as the header.")
+    return table
 
 
 class SizeClass(Model):
