@@ -101,8 +101,8 @@ def forecast_velocity(plan: Plan) -> ImpactVelocity:
     value = sqrt(squares[fastest]) + belt
     if not 0.0 < value < planned.value:
         return planned
-    initial = f" with an initial speed of {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
-    against = f" against the fastest wall ({belt:.3g} m/s)" if belt else ""
+    initial = f" with the initial speed {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
+    against = f", plus the speed of the fastest belt, {belt:.3g} m/s" if belt else ""
     words = f"a fall of particles.{fastest} by {heights[fastest]:.3g} m{initial}{against}"
     return ImpactVelocity(value, f"estimated from {words}")
 

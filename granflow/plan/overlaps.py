@@ -546,7 +546,7 @@ def _forecast(
             f"{ends[0]}{_stiffer(plan, found, overlap, pair)}{accept if needed <= LARGEST_OVERLAP else ''}"
         )
         warning = (
-            f"{pair.name}: {words[1]} {amount}, and {_consequence(scene, largest)}. "
+            f"{pair.name}: {words[1]} {amount}; {_consequence(scene, largest)}. "
             f"{remedy[0].upper()}{remedy[1:]}{ends[1]}"
         )
     return Forecast(name, amount, f"{pair.name}{words[0]}", warning, cause, largest, force(pair))
@@ -595,16 +595,16 @@ def overlap_forecasts(plan: Plan, velocity: ImpactVelocity) -> Iterator[Forecast
     def unloaded(pair: PairCase) -> float:
         return static_overlap(laws, pair, 0.0)
 
-    at = f"at {velocity.value:.3g} m/s, {velocity.source}"
+    at = f"at {velocity.value:.3g} m/s ({velocity.source})"
     slower = ", or set run.velocity_max lower if all impacts are slower."
-    words = (f" {at}", f"an impact {at}, overlaps by")
+    words = (f" {at}", f"an impact {at} causes an overlap of")
     found = [
         _forecast(plan, "overlap of impacts", "impact", [*pairs, *on_small], impact, words, ("", slower))
     ]
     is_drawn = False
     if laws.cohesion is not None:
         lower = f"lower {' or '.join(laws.cohesion.constant_names)}, or "
-        words = (", without load", "the cohesion alone draws particles together by")
+        words = (", without load", "cohesion alone causes an overlap of")
         cohesive = _forecast(plan, "overlap by cohesion", "cohesion", pairs, unloaded, words, (lower, "."))
         is_drawn = cohesive is not None and cohesive.warning is not None
         found.append(cohesive)

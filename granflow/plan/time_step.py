@@ -45,7 +45,7 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
     """
     given = scene.run.velocity_max
     if given is not None:
-        return ImpactVelocity(given, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
+        return ImpactVelocity(given, f"run.velocity_max, {scene.where('run', 'velocity_max')}")
     fall = free_fall(scene)
     initial = max((group.initial_speed for group in scene.particles.values()), default=0.0)
     images = scene.domain.image_speed
@@ -53,22 +53,24 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
     if not max(fall, initial, surface) > 0.0:
         return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
     speed = fall
-    source = f"free fall through the domain ({fall:.3g} m/s)"
+    source = f"a free fall through the domain, {fall:.3g} m/s"
     opposing = surface
-    opposing_name = "the image across the sheared boundary" if images else "the fastest wall"
-    opposing_source = f"{opposing_name} ({surface:.3g} m/s)"
+    opposing_name = (
+        "the speed of the images across the sheared boundary" if images else "the speed of the fastest wall"
+    )
+    opposing_source = f"{opposing_name}, {surface:.3g} m/s"
     if initial > fall:
         speed = initial
-        source = f"the fastest particle at the start ({initial:.3g} m/s)"
+        source = f"the speed of the fastest particle at the start, {initial:.3g} m/s"
         if initial > surface:
             opposing = initial
-            opposing_source = "another one of the same speed"
+            opposing_source = "that of a particle in the opposite direction"
     parts = []
     if speed > 0.0:
         parts.append(source)
     if opposing > 0.0:
         parts.append(opposing_source)
-    return ImpactVelocity(speed + opposing, f"estimated from {' against '.join(parts)}")
+    return ImpactVelocity(speed + opposing, f"estimated from {', plus '.join(parts)}")
 
 
 def free_fall(scene: Scene) -> float:

@@ -48,7 +48,7 @@ def test_impact_forecast_falls_from_the_insertion_to_the_lowest_wall(name):
     given, expected = CASES[name]
     plan = plan_for(given)
     forecast = next(each for each in plan.forecasts if each.cause == "impact")
-    assert f"at {expected:.3g} m/s, estimated from a fall of particles.balls by" in forecast.remark
+    assert f"at {expected:.3g} m/s (estimated from a fall of particles.balls by" in forecast.remark
     assert plan.impact_velocity.value == pytest.approx(np.sqrt(2.0 * GRAVITY * 2.0)), (
         "the time step keeps the domain"
     )
@@ -68,4 +68,4 @@ def test_impact_forecast_falls_from_the_insertion_to_the_lowest_wall(name):
 def test_impact_forecast_has_the_planned_velocity_where_the_drop_height_is_not_known(given):
     plan = plan_for(given)
     forecast = next(each for each in plan.forecasts if each.cause == "impact")
-    assert f"at {plan.impact_velocity.value:.3g} m/s, {plan.impact_velocity.source}" in forecast.remark
+    assert f"at {plan.impact_velocity.value:.3g} m/s ({plan.impact_velocity.source})" in forecast.remark

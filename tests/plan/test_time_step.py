@@ -242,11 +242,11 @@ RISING = "walls.floor.motion={kind: translation, velocity: [0, 0, 2]}"
 
 
 @pytest.mark.parametrize(("overrides", "value", "source"), [
-    ((), 1.0, "run.velocity_max ("),
-    ((AUTO,), math.sqrt(2 * 9.81 * 0.04), "estimated from free fall through the domain"),
-    ((AUTO, "particles.beads.velocity=[3, 4, 0]"), 10.0, "estimated from the fastest particle"),
+    ((), 1.0, "run.velocity_max, "),
+    ((AUTO,), math.sqrt(2 * 9.81 * 0.04), "estimated from a free fall through the domain"),
+    ((AUTO, "particles.beads.velocity=[3, 4, 0]"), 10.0, "estimated from the speed of the fastest particle"),
     ((AUTO, NO_GRAVITY), 1.0, "assumed"),
-    ((AUTO, NO_GRAVITY, RISING), 2.0, "estimated from the fastest wall (2 m/s)"),
+    ((AUTO, NO_GRAVITY, RISING), 2.0, "estimated from the speed of the fastest wall, 2 m/s"),
 ])  # fmt: skip
 def test_max_impact_velocity_has_a_value_and_a_source(tmp_path, overrides, value, source):
     impact_velocity = max_impact_velocity(scene_of(tmp_path, *overrides))
