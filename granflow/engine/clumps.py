@@ -3,7 +3,7 @@
 Each sphere has a copy of the state of its clump: center of mass, velocity, angular momentum L in the frame of
 the scene and orientation, a unit quaternion q. Each copy is integrated with the same operations, from the
 forces on all spheres in the order of their ids, so that all copies have the same bits, and no sphere writes
-to another one.
+to another one. With MPI, the rank that owns the center of mass has all spheres of a clump.
 
 Leapfrog form of velocity Verlet, with the torque M about the center of mass and the principal moments I:
 
@@ -36,8 +36,8 @@ from granflow.kernel_language import ti
 class ClumpMotion:
     """Integration of the copy of its clump that a sphere has.
 
-    Reads:   force, torque, position, clump, clump_size, clump_offset, clump_mass, clump_inertia, index_of_id,
-             orientation, image_offset
+    Reads:   force, torque, position, clump_size, clump_begin, clump_offset, clump_mass, clump_inertia,
+             index_by_id, orientation, image_offset
     Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
              velocity_synchronized, angular_velocity, angular_velocity_synchronized, boundary_work
     """
@@ -115,7 +115,7 @@ class ClumpMotion:
         force_sum = ti.Vector.zero(self.exact, 3)
         torque_sum = ti.Vector.zero(self.exact, 3)
         for member in range(self.particles.clump_size[i]):
-            j = self.particles.index_of_id[self.particles.clump[i] + member]
+            j = self.particles.index_by_id[self.particles.clump_begin[i] + member]
             force = ti.cast(self.particles.force[j], self.exact)
             arm = rotation @ self.particles.clump_offset[j]
             force_sum += force
@@ -210,16 +210,21 @@ def angular_velocity_of(rotation, momentum, inertia):
 def index_phase(state: State) -> Phase:
     """Phase of a rebuild that writes the index of each id, by which a sphere finds the others of its clump.
 
-    Reads:   id, clump_position
-    Writes:  index_of_id, clump_position_at_rebuild
+    On MPI ranks the host writes these indices when particles migrate, see `places_of_spheres`.
+
+    Reads:   id, clump, clump_position
+    Writes:  index_by_id, clump_begin, clump_position_at_rebuild
     """
     particles = state.particles
     per_task, _ = granularity(state)
+    has_ghosts = state.plan.has_ghosts
 
     @ti.func
     def write(task: ti.template(), rebuild: ti.template()):
         for i in range(task.begin, task.end):
-            particles.index_of_id[particles.id[i]] = i
+            if ti.static(not has_ghosts):
+                particles.index_by_id[particles.id[i]] = i
+                particles.clump_begin[i] = particles.clump[i]
             particles.clump_position_at_rebuild[i] = particles.clump_position[i]
 
     return Phase(write, state.cell_sort.order.shape[0], per_task=per_task)
@@ -242,6 +247,26 @@ CLUMP_MOTION = (
 ROTATION_SHARE = "clump_rotation_share"
 """Array of `of_clumps`: share of a sphere in twice the rotational energy of its clump [J]."""
 Arrays = dict[str, np.ndarray]
+
+
+def places_of_spheres(ids: np.ndarray, clump: np.ndarray) -> Arrays:
+    """The arrays (n,) `index_by_id` and `clump_begin` of the particles that an MPI rank owns.
+
+    ids, clump:  (n,) in the order of the device, with all spheres of each clump
+    """
+    order = np.argsort(ids)
+    return {"index_by_id": order, "clump_begin": np.searchsorted(ids[order], clump)}
+
+
+def body_positions(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Positions (n, 3) [m] of the rigid bodies to which particles belong: the center of mass of the clump, or
+    the center of a single sphere.
+
+    arrays:  position, and with clumps clump and clump_position
+    """
+    if "clump" not in arrays:
+        return arrays["position"]
+    return np.where(arrays["clump"][:, None] >= 0, arrays["clump_position"], arrays["position"])
 
 
 def of_clumps(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:

@@ -426,8 +426,8 @@ def _saved_table(state: State) -> FieldTable:
 
 # Particles on the host, with their contact histories: for checkpoints, and for migration between MPI ranks.
 
-PRESENT = "present_position"
-"""Name of the present positions while `position` contains earlier ones."""
+PRESENT = {"position": "present_position", "clump_position": "present_clump_position"}
+"""Names of the present positions while the fields contain earlier ones."""
 
 
 @dataclass(frozen=True)
@@ -460,15 +460,16 @@ class HostParticles:
     def at_rebuild(self, periodic_box: PeriodicBox) -> "HostParticles":
         """The particles at their positions at the last rebuild, in the box; `at_present` is the inverse."""
         arrays = self.arrays
-        position = periodic_box.wrap(self.arrays["position_at_rebuild"])
+        earlier = {"position": periodic_box.wrap(arrays["position_at_rebuild"])}
         if "clump_position" in arrays:
-            arrays = arrays | {"clump_position": arrays["clump_position_at_rebuild"]}
-        return replace(self, arrays=arrays | {"position": position, PRESENT: arrays["position"]})
+            earlier["clump_position"] = arrays["clump_position_at_rebuild"]
+        present = {PRESENT[name]: arrays[name] for name in earlier}
+        return replace(self, arrays=arrays | earlier | present)
 
 
 def at_present(arrays: Arrays) -> Arrays:
     """Arrays of particles of `HostParticles.at_rebuild`, at their present positions."""
-    return arrays | {"position": arrays[PRESENT]}
+    return arrays | {name: arrays[saved] for name, saved in PRESENT.items() if saved in arrays}
 
 
 def joined_arrays(parts: list[Arrays]) -> Arrays:

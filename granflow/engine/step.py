@@ -318,7 +318,8 @@ class TimeStep:
         if ti.static(self.exact):
             force_sum = self.to_grid(self.particles.mass[i] * gravity, self.shift()[UNIT_FORCE])
             if ti.static(self.features.clumps):  # the weight of a clump acts at its center of mass
-                force_sum *= ti.cast(self.particles.clump[i] < 0, ti.f64)
+                if self.particles.clump[i] >= 0:
+                    force_sum = ti.Vector.zero(ti.f64, 3)
             if ti.static(self.attaches):  # the wall carries the weight
                 if self.particles.attached_to[i] >= 0:
                     force_sum = ti.Vector.zero(ti.f64, 3)

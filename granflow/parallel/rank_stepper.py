@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from granflow.engine.clumps import body_positions, places_of_spheres
 from granflow.engine.codes import ABORT_FAR, ABORT_OVERLAP
 from granflow.engine.host import (
     WITHOUT_HISTORY,
@@ -178,7 +179,7 @@ MIGRATION_INTERVAL = 8
 of the ranks require it earlier."""
 MORE_GHOSTS = 1.25
 """Ghosts of a rank over those after the last migration above which particles migrate."""
-SEARCHED = ("position", "velocity", "radius", "reach", "fixed")
+SEARCHED = ("position", "velocity", "radius", "reach", "fixed", "clump", "clump_position")
 """Fields from which a rebuild selects ghosts, and particles to delete."""
 
 
@@ -373,7 +374,7 @@ class RankRebuild:
         plan = self._state.plan
         communicator = self._communicator
         self.total_count = int(communicator.sums(np.array([len(present)]))[0])
-        position = particles.arrays["position"][present].astype(float)
+        position = body_positions(particles.arrays)[present].astype(float)
         contacts = self._contacts(particles)[present]
         owners = self.balance.owners(position, contacts)
         return migrated(communicator, particles, present, owners, 2.0 * plan.radius_max + plan.skin)
@@ -413,6 +414,9 @@ class RankRebuild:
         for part in (share.arrays, between, ghosts, deleted):
             table.put(slice(begin, begin + len(part["id"])), part)
             begin += len(part["id"])
+        if state.plan.features.clumps:
+            places = places_of_spheres(share.arrays["id"], share.arrays["clump"])
+            state.built(particle_table, tuple(places)).put(slice(0, count), places)
         without = np.full(len(gap), WITHOUT_HISTORY)
         self._histories.write(
             share.histories, np.concatenate([share.rows, without, share.ghost_rows(ghosts["id"])])

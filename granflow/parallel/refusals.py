@@ -24,7 +24,7 @@ def refuse_without_mpi_flag() -> None:
 
 
 def refuse_on_ranks(arch: str = "cpu", forces: Sequence[object] = (), scene: Scene | None = None) -> None:
-    """Raise GranflowError for other architectures, forces from Python, clumps and films."""
+    """Raise GranflowError for other architectures, forces from Python and films."""
     if arch != "cpu":
         raise GranflowError(
             f"--arch {arch} does not work with --mpi, which runs on CPUs only: leave --arch out."
@@ -33,9 +33,9 @@ def refuse_on_ranks(arch: str = "cpu", forces: Sequence[object] = (), scene: Sce
         raise GranflowError("Forces from Python do not work on MPI ranks: run without a communicator.")
     if scene is None:
         return
-    alone = "run without a communicator (without --mpi)"
     cohesion = scene.contact.name("cohesion")
-    if not all(group.shape.on_ranks for group in scene.particles.values()):
-        raise GranflowError(f"Clumps do not work on MPI ranks: {alone}.")
     if cohesion in registry.liquid_models():
-        raise GranflowError(f"contact.cohesion: {cohesion} does not work on MPI ranks: {alone}.")
+        raise GranflowError(
+            f"contact.cohesion: {cohesion} does not work on MPI ranks: run without a communicator (without "
+            "--mpi)."
+        )

@@ -129,7 +129,8 @@ VISCOUS_BRIDGES = {"law": "capillary", **VISCOUS}
 
 
 def wet_clumps() -> Scene:
-    """Rods, tetrahedra and spheres with viscous bridges of fixed volume fall into a box; rain of clumps."""
+    """Rods, tetrahedra and spheres with viscous bridges of fixed volume fall into a box that is periodic along x;
+    rain of clumps."""
     rng = np.random.default_rng(8)
     sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
     velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
@@ -143,8 +144,10 @@ def wet_clumps() -> Scene:
         "insert": {"kind": "rain", "region": region, "rate": 1500.0},
     }  # fmt: skip
     contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": VISCOUS_BRIDGES}
+    walls = {name: wall for name, wall in box(0.055).items() if not name.endswith("x")}
+    domain = {"min": [0.0, -0.01, -0.01], "max": [0.055, 0.065, 0.065], "periodic": ["x"], "on_exit": "error"}
     return build_scene(
-        {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), contact=contact,
+        {"rods": rods, "others": others, "balls": balls, "rain": rain}, walls, contact=contact, domain=domain,
         pair={"friction": 0.4, "restitution": 0.4, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
         gravity=[0.0, 0.0, -100.0], numerics={"chunk_size": 32, "max_overlap": 0.2},
         run={"duration": 0.012, "velocity_max": 4.0, "time_step": 2e-6},
@@ -251,7 +254,7 @@ QUICK = {
             "wear_normal_work.low_x",
         ),
     ),
-    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count"), on_ranks=False),
+    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count")),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
     "heat": Row(
         conducting,

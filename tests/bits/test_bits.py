@@ -128,7 +128,7 @@ OTHER_KERNELS = {
     "gpu": ["walls", "clumps", "films"],
     "long": ["heat", "clumps"],
     "forked": ["walls", "films"],
-    "ranks": ["heat"],
+    "ranks": ["heat", "clumps"],
 }
 """Scenes of the usual test run by kind of execution that compiles other kernels."""
 

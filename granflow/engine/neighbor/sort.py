@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.clumps import body_positions
 from granflow.engine.codes import ABORT_FAR, REMOVED_BELOW
 from granflow.engine.neighbor.phases import (
     Phase,
@@ -92,12 +93,13 @@ class Remaining:
 def remaining(state: State, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """Which of n particles on the host remain (n,), as `Remaining` decides.
 
-    arrays:  position (n, 3), radius (n,) and, with fixed particles, fixed (n,), in the types of the fields
+    arrays:  position (n, 3), radius (n,), with fixed particles fixed (n,), and with clumps clump (n,) and
+             clump_position (n, 3), in the types of the fields
     """
     count = len(arrays["radius"])
     found = np.zeros(count, np.int32)
     if count:
-        position = np.ascontiguousarray(arrays["position"])
+        position = np.ascontiguousarray(body_positions(arrays))
         radius = np.ascontiguousarray(arrays["radius"])
         fixed = np.ascontiguousarray(arrays.get("fixed", np.zeros(count, np.int32)))
         state.built(_build_remaining)(position, radius, fixed, found)

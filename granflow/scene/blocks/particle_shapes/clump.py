@@ -68,7 +68,6 @@ class Clump(Model, ParticleShape):
 
     rotates: ClassVar[bool] = True
     packs_loosely: ClassVar[bool] = True
-    on_ranks: ClassVar[bool] = False
 
     spheres: Annotated[
         tuple[ClumpSphere, ...],

@@ -23,13 +23,11 @@ class ParticleShape:
 
     rotates:        whether particles rotate in every scene, also without friction
     packs_loosely:  whether a bed at rest can be as loose as one of cohesive particles
-    on_ranks:       whether MPI ranks can run particles of this shape
     sphere_count:   number of spheres of a particle
     """
 
     rotates: ClassVar[bool]
     packs_loosely: ClassVar[bool]
-    on_ranks: ClassVar[bool]
 
     @property
     def sphere_count(self) -> int:
@@ -98,7 +96,6 @@ class Sphere(ParticleShape):
 
     rotates = False
     packs_loosely = False
-    on_ranks = True
     sphere_count = 1
     title = ""
     body = None
