@@ -1,5 +1,7 @@
 """Scenes that `rank_runs` runs alone and on MPI ranks, by name."""
 
+import numpy as np
+from clumps import clump_group
 from scene_builders import (
     build_scene,
     moving_lattice,
@@ -36,17 +38,22 @@ def pair(**changes):
 
 
 def resumable():
-    """64 particles with rain, a vibrating floor, a servo wall, a stage that ends on a quantity, and frames of
-    contacts."""
+    """64 particles and 9 rods of three spheres with rain, a vibrating floor, a servo wall, a stage that ends on a
+    quantity, and frames of contacts."""
     region = {"box": {"min": [0.005, 0.005, 0.032], "max": [0.023, 0.023, 0.05]}}
     rain = {"material": "glass", "count": 20, "diameter": 0.004,
             "insert": {"kind": "rain", "region": region, "rate": 20000.0}}  # fmt: skip
+    sites = 0.0085 * np.argwhere(np.ones((3, 3, 1))) + [0.0055, 0.0055, 0.0297]
+    velocity = np.random.default_rng(7).normal([0.0, 0.0, -1.0], 0.5, sites.shape)
+    rods = clump_group(
+        sites, [[-1.5e-3, 0, 0], [0, 0, 0], [1.5e-3, 0, 0]], 1.2e-3, "random", velocity=velocity
+    )
     walls = vibrating_box(0.028)
     del walls["high_z"]
     walls["high_x"]["motion"] = {"kind": "servo", "direction": [-1, 0, 0], "force": 1.0, "velocity_max": 0.2}
     condition = {"quantity": "contact_count", "above": 10}
     return build_scene(
-        {"lattice": moving_lattice((4, 4, 4), largest=0.0062, speed=1.0), "rain": rain}, walls,
+        {"lattice": moving_lattice((4, 4, 4), largest=0.0062, speed=1.0), "rods": rods, "rain": rain}, walls,
         normal="zhou", rolling="epsd", gravity=[0.0, 3.0, -9.81], numerics={"chunk_size": 16},
         pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5},
         output={"interval": 5e-4, "timeseries_interval": 2e-5, "energy_budget": True, "wall_forces": True,

@@ -343,6 +343,19 @@ def synchronized_clumps(arrays: Mapping[str, np.ndarray], half: float, gravity: 
     }
 
 
+def forces_with_weight(arrays: Mapping[str, np.ndarray], gravity: np.ndarray) -> np.ndarray:
+    """Forces (n, 3) [N]; on a sphere of a clump with its share of the weight, which `force` does not contain.
+
+    arrays:   force, mass, and with clumps clump
+    gravity:  (3,) [m/s2]
+    """
+    force = arrays["force"].astype(float)
+    if "clump" not in arrays:
+        return force
+    weight = arrays["mass"].astype(float)[:, None] * gravity
+    return np.where(arrays["clump"][:, None] >= 0, force + weight, force)
+
+
 def _sums(arrays: Mapping[str, np.ndarray], vectors: np.ndarray) -> np.ndarray:
     """Sums (n, 3) of vectors (n, 3) over the spheres of the clump of each sphere, in the order of the ids."""
     if not len(vectors):

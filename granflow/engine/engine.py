@@ -17,7 +17,7 @@ import numpy as np
 from granflow.engine.abort import Diagnosis, WallChange, diagnose
 from granflow.engine.attached import attached_velocities
 from granflow.engine.backend import Backend
-from granflow.engine.clumps import CLUMP_MOTION, synchronized_clumps
+from granflow.engine.clumps import CLUMP_MOTION, forces_with_weight, synchronized_clumps
 from granflow.engine.contact import collision_counts
 from granflow.engine.fields import write_field
 from granflow.engine.host import (
@@ -420,7 +420,8 @@ class Engine:
         weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(
             np.linalg.norm(self._gravity)
         )
-        net = [exact_sum(component * mobile, ranks) for component in arrays["force"].astype(float).T]
+        force = forces_with_weight(arrays, self._gravity)
+        net = [exact_sum(component * mobile, ranks) for component in force.T]
         unbalanced = float(np.linalg.norm(net)) / weight if weight else 0.0
         return RestState((kinetic + rotational) / max(mobile_count, 1.0), unbalanced)
 

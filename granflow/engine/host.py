@@ -550,15 +550,17 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
     for name, values in (plan.initial_values | plan.initial_sources).items():
         arrays[name] = np.array(values)[new.group]
     if plan.features.liquid_transfer:
-        arrays["liquid_film"] = _films(plan, new)
+        arrays["liquid_film"] = _films(plan, new.group, sphere_volume(new.radius))
     return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays
 
 
-def _films(plan: Plan, new: ParticleData) -> np.ndarray:
-    """Volumes (k,) [m3] of the films of new particles, whole units."""
+def _films(plan: Plan, group: np.ndarray, volume: np.ndarray) -> np.ndarray:
+    """Volumes (k,) [m3] of the films of new particles, whole units.
+
+    group, volume:  (k,) number of the group, and volume [m3] of each particle or share of a sphere in a clump
+    """
     content = np.array([group.spec.liquid_content or 0.0 for group in plan.groups])
-    volume = content[new.group] * sphere_volume(new.radius)
-    films: np.ndarray = np.rint(volume / plan.liquid_unit) * plan.liquid_unit
+    films: np.ndarray = np.rint(content[group] * volume / plan.liquid_unit) * plan.liquid_unit
     return films
 
 
@@ -597,6 +599,9 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
             for name, values in body.sphere_arrays(density, member[own]).items():
                 arrays[name][own] = values
             arrays["orientation"][own] = product(new.orientation[row[own]], body.principal_axes)
+            if "liquid_film" in arrays:
+                shares = body.volume * body.volume_share[member[own]]
+                arrays["liquid_film"][own] = _films(plan, new.group[row[own]], shares)
     return arrays | _motion_of_spheres(arrays)
 
 

@@ -153,6 +153,8 @@ class TimeStep:
         per_unit = self.per_unit()
         limit_squared = self.travel_limit_squared()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            if ti.static(self.features.liquid_transfer):
+                self.films.save(i)
             if ti.static(self.features.clumps):
                 displacement = 0.0 * self.particles.position[i]
                 if self.particles.clump[i] >= 0:
@@ -170,8 +172,6 @@ class TimeStep:
     def _kick_and_drift(self, chunk, i, gravity, shift, pose, dt):
         """Kick and drift a sphere that is in no clump, or move it with its wall; returns its displacement
         [m]."""
-        if ti.static(self.features.liquid_transfer):
-            self.films.save(i)
         if ti.static(self.has_flows):
             self.flows.integrate(i, dt)
         mass = self.particles.mass[i]

@@ -177,6 +177,7 @@ def field_frames(
         spec.stages or (),
         writer,
         plan.scene.output.compression,
+        [group.spec.shape for group in plan.groups],
     )
 
 

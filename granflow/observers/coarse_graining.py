@@ -12,16 +12,21 @@ partner, or to the contact point on a wall; W: kernel; L: its mean along the bra
 
     thermal = rho T of one snapshot, whose mean over time excludes the motion of V in time
 
+A clump is one body: x and v are those of its center of mass, and its branch vectors begin there
+(`of_bodies`). Its spheres have shares of its mass and volume.
+
 Stresses are positive in tension. All formulas: docs/pages/guides/coarse_graining.md.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.geometry.clump import matrices
 from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
 from granflow.geometry.sphere import sphere_volume
+from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 from granflow.snapshot import mobile_particles
 
 # Sums and fields
@@ -49,6 +54,34 @@ class AccumulatedFields:
         return AccumulatedFields({name: array / number for name, array in self.arrays.items()})
 
 
+def of_bodies(
+    particles: Mapping[str, np.ndarray], shapes: Sequence[ParticleShape]
+) -> Mapping[str, np.ndarray]:
+    """The particles of a snapshot with the motion of their rigid bodies; unchanged without clumps.
+
+    shapes:   of the particles of each group
+    Returns:  with `position` and `velocity` of the center of mass of the clump for each of its spheres,
+              `arm` (n, 3) [m] from there to the sphere, and `volume` (n,) [m3], the share of the sphere
+
+        x = x_s - a,   v = v_s - w x a,      a = R(q) offset
+    """
+    if all(shape.body is None for shape in shapes):
+        return particles
+    arm = np.zeros((len(particles["id"]), 3))
+    volume = sphere_volume(particles["radius"].astype(float))
+    for number, shape in enumerate(shapes):
+        rows = np.flatnonzero(particles["group"] == number)
+        if shape.body is not None and len(rows):
+            member = particles["id"][rows] - particles["clump"][rows]
+            rotation = matrices(particles["orientation"][rows].astype(float))
+            arm[rows] = np.einsum("nij,nj->ni", rotation, shape.body.offset[member])
+            volume[rows] = shape.body.volume * shape.body.volume_share[member]
+    turning = np.cross(particles["angular_velocity"].astype(float), arm)
+    position = particles["position"].astype(float) - arm
+    velocity = particles["velocity"].astype(float) - turning
+    return {**particles, "position": position, "velocity": velocity, "arm": arm, "volume": volume}
+
+
 def accumulate(
     particles: Mapping[str, np.ndarray],
     contacts: Mapping[str, np.ndarray] | None,
@@ -59,8 +92,9 @@ def accumulate(
 
     `particles`: arrays `mass` [kg], `radius` [m], `coordination_number` (n,), `position` [m], `velocity`
     [m/s] (n, 3), and `fixed` (n,) if the scene has fixed particles, which are excluded, and
-    `temperature` (n,) [K] if particles have one. `contacts`: arrays
-    `position_i`, `position_j` [m], `force` [N] on particle i, each (k, 3). Sums are in double precision.
+    `temperature` (n,) [K] if particles have one; with clumps as `of_bodies` returns them. `contacts`: arrays
+    `position_i`, `position_j` [m], `force` [N] on particle i, each (k, 3), with clumps also `id_i` and
+    `id_j` (k,). Sums are in double precision.
     """
     found = _accumulate_particles(particles, grid, kernel)
     if "temperature" in particles:
@@ -70,7 +104,7 @@ def accumulate(
         found["mass_temperature"] = total / grid.cell_volume
     found["thermal"] = -_trace(_kinetic_stress(found))[:, None] / 3.0
     if contacts is not None:
-        found |= _accumulate_contacts(contacts, grid, kernel)
+        found |= _accumulate_contacts(_between_bodies(contacts, particles), grid, kernel)
     return AccumulatedFields(found)
 
 
@@ -126,7 +160,8 @@ def _accumulate_particles(
     mass = particles["mass"].astype(float)
     velocity = particles["velocity"].astype(float)
     momentum = mass[:, None] * velocity
-    volume = sphere_volume(particles["radius"].astype(float))
+    is_sphere = "volume" not in particles
+    volume = sphere_volume(particles["radius"].astype(float)) if is_sphere else particles["volume"]
     values = np.column_stack(
         [
             mass,
@@ -139,6 +174,22 @@ def _accumulate_particles(
     )
     total = grid.deposit(kernel, particles["position"].astype(float), values)
     return _split(PARTICLE_FIELDS, total / grid.cell_volume)
+
+
+def _between_bodies(
+    contacts: Mapping[str, np.ndarray], particles: Mapping[str, np.ndarray]
+) -> Mapping[str, np.ndarray]:
+    """The contacts with branch vectors that begin and end at the centers of mass of clumps; unchanged without
+    `arm`."""
+    if "arm" not in particles:
+        return contacts
+    found = dict(contacts)
+    for end in "ij":
+        ids = contacts[f"id_{end}"]
+        arm = particles["arm"][np.searchsorted(particles["id"], np.maximum(ids, 0))]
+        position = contacts[f"position_{end}"].astype(float)
+        found[f"position_{end}"] = position - np.where(ids[:, None] >= 0, arm, 0.0)  # -1: a wall
+    return found
 
 
 def _accumulate_contacts(

@@ -32,8 +32,10 @@ from granflow.observers.coarse_graining import (
     AccumulatedFields,
     accumulate,
     fields_from,
+    of_bodies,
 )
 from granflow.observers.observer import ScheduledObserver
+from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 from granflow.snapshot import CONTACTS, PARTICLES, WALLS, Snapshot
 
 if TYPE_CHECKING:
@@ -408,6 +410,7 @@ class FieldFrames(Frames):
     grid, kernel:  of the coarse graining
     quantities:    names in FIELD_QUANTITIES, which determine whether contacts are requested
     stages:        stages with frames; all if empty
+    shapes:        of the particles of each group; empty without clumps
     """
 
     def __init__(
@@ -421,6 +424,7 @@ class FieldFrames(Frames):
         stages: Sequence[str] = (),
         writer: BackgroundWriter | None = None,
         compression: Compression = "zlib",
+        shapes: Sequence[ParticleShape] = (),
     ) -> None:
         self.stem = f"fields_{name}"
         super().__init__(directory, interval, writer=writer, compression=compression)
@@ -430,6 +434,7 @@ class FieldFrames(Frames):
         self.kernel = kernel
         self._quantities = tuple(quantities)
         self._stages = tuple(stages)
+        self._shapes = tuple(shapes)
         self._accumulated: AccumulatedFields | None = None
         self._count = 0
 
@@ -443,7 +448,8 @@ class FieldFrames(Frames):
     def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame and add it to the mean."""
         contacts = snapshot.contacts if CONTACTS in self.wants else None
-        accumulated = accumulate(snapshot.particles, contacts, self.grid, self.kernel)
+        particles = of_bodies(snapshot.particles, self._shapes)
+        accumulated = accumulate(particles, contacts, self.grid, self.kernel)
         self._accumulated = accumulated if self._accumulated is None else self._accumulated + accumulated
         self._count += 1
         return self._mesh_of(accumulated)

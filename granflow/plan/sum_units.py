@@ -218,6 +218,7 @@ def liquid_unit(groups: Sequence[SceneGroup]) -> float:
     """
     specs = [group.spec for group in groups]
     total = sum(
-        each.count * (each.liquid_content or 0.0) * sphere_volume(0.5 * each.diameters[1]) for each in specs
+        each.sphere_count * (each.liquid_content or 0.0) * sphere_volume(0.5 * each.diameters[1])
+        for each in specs
     )
     return 2.0 ** (ceil(log2(total)) - LIQUID_BITS) if total > 0.0 else 1.0

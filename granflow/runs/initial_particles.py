@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.clumps import synchronized_clumps
 from granflow.errors import GranflowError, SceneError
+from granflow.geometry.clump import ClumpBody, product
 from granflow.geometry.sphere import sphere_inertia
 from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
@@ -13,6 +15,7 @@ from granflow.particles.group import ParticleData, SceneGroup, groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.plan.overlaps import particle_warnings
 from granflow.plan.plan import Plan
+from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 
 
 def initial_state(
@@ -82,12 +85,13 @@ ROUNDING = 1e-6
 def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     """Return the particles of each group that the earlier run also has, from its newest checkpoint, by group.
 
-    Positions, velocities, angular velocities and sizes are those of the run, materials those of the scene.
-    All are float64, synchronized to the same time, ordered by id. Particles of a `fixed` group are at rest.
-    The contact history is not transferred. Empty without `start_from`.
+    Positions, velocities, angular velocities, orientations and sizes are those of the run, materials those of
+    the scene. All are float64, synchronized to the same time, ordered by id. Particles of a `fixed` group are
+    at rest. The contact history is not transferred. Empty without `start_from`.
 
-    Raises SceneError if the run does not exist, or if the count or the sizes of its particles exceed those of
-    the group in the scene; CheckpointError if its newest checkpoint has another format.
+    Raises SceneError if the run does not exist, if the count or the sizes of its particles exceed those of
+    the group in the scene, or if their clumps differ; CheckpointError if its newest checkpoint has another
+    format.
     """
     if scene.start_from is None:
         return {}
@@ -106,8 +110,18 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
             f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under "
             "particles."
         )
+    other_clumps = [
+        f"{group.locate()}: particles.{name} has {_spheres(group.spec.shape)}, but start_from has other "
+        f"ones, {_spheres(before.particles[name].shape)}; give the group the same clump, or another name."
+        for name, group in shared.items()
+        if not _same_body(before.particles[name].shape.body, group.spec.shape.body)
+    ]
+    if other_clumps:
+        raise SceneError(other_clumps)
+    gravity = np.array(before.gravity)
     found = {
-        name: _particles_of_group(group, checkpoint, names.index(name)) for name, group in shared.items()
+        name: _particles_of_group(group, checkpoint, names.index(name), gravity)
+        for name, group in shared.items()
     }
     if not any(len(particles) for particles in found.values()):
         raise SceneError(
@@ -120,14 +134,37 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     return found
 
 
-def _particles_of_group(group: SceneGroup, checkpoint: Checkpoint, number: int) -> ParticleData:
-    """Return the particles of group `number` of the earlier scene, ordered by id."""
+def _spheres(shape: ParticleShape) -> str:
+    """What the particles of a group are, for a message."""
+    return shape.title.strip() or "spheres"
+
+
+def _same_body(first: ClumpBody | None, second: ClumpBody | None) -> bool:
+    """Whether the particles of two groups are spheres, or clumps of the same spheres."""
+    if first is None or second is None:
+        return first is second
+    tolerance = ROUNDING * first.outer_radius
+    return (
+        len(first) == len(second)
+        and bool(np.allclose(first.radius, second.radius, rtol=0.0, atol=tolerance))
+        and bool(np.allclose(first.offset, second.offset, rtol=0.0, atol=tolerance))
+    )
+
+
+def _particles_of_group(
+    group: SceneGroup, checkpoint: Checkpoint, number: int, gravity: np.ndarray
+) -> ParticleData:
+    """Return the particles of group `number` of the earlier scene, with its gravity (3,) [m/s2], ordered by
+    id."""
     saved = checkpoint.saved["engine"]
     particles = saved["particles"]
     order = np.argsort(particles["id"], kind="stable")
     in_group = order[saved["accounting"]["group"][particles["id"][order]] == number]
     arrays = {key: values[in_group].astype(np.float64) for key, values in particles.items()}
-    velocity, angular_velocity = _at_the_time_of_positions(arrays, saved["clock"]["time_step"])
+    time_step = saved["clock"]["time_step"]
+    if group.spec.shape.body is not None:
+        return _clumps_of_group(group, group.spec.shape.body, arrays, time_step, gravity)
+    velocity, angular_velocity = _at_the_time_of_positions(arrays, time_step)
     if group.spec.fixed:
         velocity = np.zeros_like(velocity)
         angular_velocity = np.zeros_like(angular_velocity)
@@ -139,6 +176,25 @@ def _particles_of_group(group: SceneGroup, checkpoint: Checkpoint, number: int) 
         radius=arrays["radius"],
         material=np.full(count, group.material_number, np.int32),
         group=np.full(count, group.number, np.int32),
+    )
+
+
+def _clumps_of_group(
+    group: SceneGroup, body: ClumpBody, arrays: dict[str, Any], time_step: float, gravity: np.ndarray
+) -> ParticleData:
+    """The clumps of a group from the arrays of all their spheres; orientations are those from the given
+    positions of the spheres."""
+    first = arrays["id"] == arrays["clump"]
+    present = synchronized_clumps(arrays, 0.5 * time_step, gravity)
+    count = int(first.sum())
+    return ParticleData(
+        position=arrays["clump_position"][first],
+        velocity=present["clump_velocity"][first],
+        angular_velocity=present["angular_velocity"][first],
+        radius=np.full(count, body.outer_radius),
+        material=np.full(count, group.material_number, np.int32),
+        group=np.full(count, group.number, np.int32),
+        orientation=product(arrays["orientation"][first], body.principal_axes * [1.0, -1.0, -1.0, -1.0]),
     )
 
 
@@ -168,7 +224,7 @@ def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
             f"{group.locate('count')}: particles.{name}.count is {spec.count}, but start_from has "
             f"{len(particles)} particles."
         )
-    smallest, largest = spec.diameters
+    smallest, largest = spec.outer_diameters
     sizes = 2.0 * particles.radius
     if len(particles) and (sizes.min() < smallest * (1 - ROUNDING) or sizes.max() > largest * (1 + ROUNDING)):
         found.append(

@@ -385,7 +385,7 @@ def unsupported_shapes(parts: PartialScene) -> Iterator[Fault]:
 def liquid_content(parts: PartialScene) -> Iterator[Fault]:
     """Every group requires a liquid content with a cohesion model that transfers liquid, and vice versa.
 
-    With `contact.cohesion: none` the content is unused. Clumps and earlier runs have no films.
+    With `contact.cohesion: none` the content is unused. Earlier runs have no films.
     """
     scene = parts.scene
     name = parts.scene.contact.name("cohesion")
@@ -395,10 +395,6 @@ def liquid_content(parts: PartialScene) -> Iterator[Fault]:
         if transfers and group.liquid_content is None:
             yield missing(
                 path, f"contact.cohesion is {name}; give the volume of the film over that of a particle, or 0"
-            )
-        elif transfers and group.clump is not None:
-            yield whole(
-                ("particles", group_name, "clump"), f"cannot be combined with contact.cohesion: {name}"
             )
         elif group.liquid_content and not transfers and name != "none":
             remedy = f"remove liquid_content, or choose {' or '.join(registry.liquid_models())}"

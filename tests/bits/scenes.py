@@ -237,6 +237,18 @@ def periodic() -> Scene:
     )  # fmt: skip
 
 
+def with_rods(scene: Scene, **more) -> Scene:
+    """The poured bed with rods of three spheres that fall onto the lattice; `more`: keys of their group."""
+    sites = 0.0085 * np.argwhere(np.ones((4, 4, 1))) + [0.014, 0.005, 0.0436]
+    centers = [[-1.5e-3, 0.0, 0.0], [0.0, 0.0, 0.0], [1.5e-3, 0.0, 0.0]]
+    rods = clump_group(
+        sites, centers, 1.4e-3, "random", velocity=[0.3, 0.0, -1.0], angular_velocity=[0, 0, 200]
+    )
+    changed = scene.to_dict()
+    changed["particles"]["rods"] = rods | more
+    return Scene.from_dict(changed)
+
+
 def in_precision(precision) -> Scene:
     """The poured bed in another precision."""
     return complex_scene(0.009, run={"velocity_max": 2.0, "time_step": 4e-6, "precision": precision})
@@ -281,13 +293,17 @@ SLOW = {
     "sheared": Row(
         lambda: sheared_gas(duration=0.012, sizes=(0.002, 0.0065), output={"interval": 2e-3, "checkpoint": {"interval": 1e-3, "keep": 100}}), ("boundary_work",)
     ),
-    "adaptive": Row(lambda: complex_scene(0.006, run={"velocity_max": 2.0, "time_step": "adaptive"})),
+    "adaptive": Row(
+        lambda: with_rods(complex_scene(0.006, run={"velocity_max": 2.0, "time_step": "adaptive"}))
+    ),
     "mixed": Row(lambda: in_precision("mixed")),
     "f32": Row(lambda: in_precision("f32")),
     "dashpots": Row(lambda: complex_scene(0.006, **DASHPOTS), ("damping_dissipation",)),
     "springs": Row(lambda: complex_scene(0.006, **SPRINGS)),
     "poured films": Row(
-        lambda: complex_scene(0.009, of_groups={"liquid_content": 0.01}, **LIQUID),
+        lambda: with_rods(
+            complex_scene(0.009, of_groups={"liquid_content": 0.01}, **LIQUID), liquid_content=0.02
+        ),
         ("liquid_bridge_volume",),
         on_ranks=False,
     ),

@@ -8,8 +8,11 @@ import pytest
 from clumps import ROD, about, clump_group
 from scene_builders import box, build_scene, particle_group, plane, run_and_sample, run_to_end
 
-from granflow.errors import GranflowError, RunError
+from granflow.errors import GranflowError, RunError, SceneError
 from granflow.geometry.clump import matrices
+from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
+from granflow.load import Scene
+from granflow.observers.coarse_graining import accumulate, of_bodies
 from granflow.particles.group import ParticleData
 from granflow.simulation import Simulation
 
@@ -51,8 +54,9 @@ def small_scene(groups, floor=-0.9, **parts):
 
 def test_clumps_fall_as_rigid_bodies_and_their_energy_budget_closes(taichi_f64):
     """Distances within each clump are those of the given positions, although its spheres overlap by half."""
-    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, threads=1)
+    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, contacts=True, threads=1)
     last = snapshots[-1]
+    assert_fields_of_bodies(last, falling_clumps())
     particles = last.particles
     expected = np.linalg.norm(np.diff(ROD, axis=0), axis=1)
     for clump in np.unique(particles["clump"])[1:17]:
@@ -69,6 +73,70 @@ def test_clumps_fall_as_rigid_bodies_and_their_energy_budget_closes(taichi_f64):
     assert last.totals["inserted_count"] == 16 * 4 + 16 * 3 + 9 + 12 * 3
     assert last.totals["friction_dissipation"] > 0.0 and last.totals["plastic_dissipation"] > 0.0
     assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
+
+
+def assert_fields_of_bodies(snapshot, scene):
+    """Integrals of coarse-grained fields are sums over clumps and single spheres, with positions x and forces F.
+
+    A contact between bodies has f b = -F_i x_i - F_j x_j with b = x_j - x_i; one with a wall ends at the contact
+    point c: the integral of the contact stress is the sum of f c over walls minus that of F x over bodies. No
+    cell of the grid is at the edge of the clumps, so that it contains all kernels.
+    """
+    particles = snapshot.particles
+    grid = CoarseGrid((-0.04,) * 3, (0.1,) * 3, (3, 3, 3))
+    shapes = [group.shape for group in scene.particles.values()]
+    found = accumulate(
+        of_bodies(particles, shapes), snapshot.contacts, grid, GaussianKernel(0.01, 3.0)
+    ).arrays
+    integral = {name: grid.cell_volume * values.sum(axis=0) for name, values in found.items()}
+    in_clump = particles["clump"][:, None] >= 0
+    position, velocity = (
+        np.where(in_clump, particles[f"clump_{name}"], particles[name]) for name in ("position", "velocity")
+    )
+    momentum = particles["mass"][:, None] * velocity
+    density = np.array([each.density for each in scene.materials.values()])[particles["material"]]
+    volume = np.where(in_clump[:, 0], particles["mass"] / density, 4 / 3 * np.pi * particles["radius"] ** 3)
+    weight = ~in_clump * particles["mass"][:, None] * [0.0, 0.0, -100.0]
+    walls = snapshot.contacts["id_j"] < 0
+    assert walls.any() and not walls.all()
+    stress = snapshot.contacts["force"][walls].T @ snapshot.contacts["position_j"][walls]
+    stress -= (particles["force"] - weight).T @ position
+    expected = {
+        "mass": particles["mass"].sum(), "volume": volume.sum(), "momentum": momentum.sum(axis=0),
+        "momentum_flux": (momentum.T @ velocity).ravel(), "contact_stress": stress.ravel(),
+    }  # fmt: skip
+    for name, values in expected.items():
+        assert integral[name] == pytest.approx(values, rel=1e-6, abs=1e-6 * np.abs(values).max()), name
+
+
+def test_start_from_takes_clumps_with_their_orientation_and_motion(taichi_f64, tmp_path):
+    """Rods and triangles that spin and fall freely; the next run begins with their spheres and velocities."""
+    rng = np.random.default_rng(2)
+    motion = {"velocity": rng.normal(0.0, 0.3, (2, 3)), "angular_velocity": rng.normal(0.0, 60.0, (2, 3))}
+    sites = np.array([[0.0, 0.0, 0.1], [0.05, 0.0, 0.1]])
+    groups = {
+        "rods": clump_group(sites, orientation="random", **motion),
+        "others": clump_group(
+            sites + [0, 0.05, 0], TRIANGLE, [2e-3, 1.5e-3, 1.8e-3], "random", "steel", **motion
+        ),
+    }
+    scene = small_scene(groups, gravity=[0.0, 0.0, -9.81], run={"duration": 0.02, "velocity_max": 2.0})
+    with Simulation(scene, threads=1, out=tmp_path / "first") as simulation:
+        simulation.run()
+        last = simulation.snapshot()
+    after = scene.to_dict() | {"start_from": str(tmp_path / "first")}
+    with Simulation(Scene.from_dict(after), threads=1) as simulation:
+        first = simulation.snapshot()
+        assert simulation.engine.rest_state().unbalanced == pytest.approx(1.0), "no wall carries the weight"
+    for name in ("position", "velocity", "angular_velocity", "clump_velocity", "clump_angular_momentum"):
+        allowed = 1e-12 * np.abs(last.particles[name]).max()
+        assert first.particles[name] == pytest.approx(last.particles[name], abs=allowed), name
+    after["particles"]["rods"]["clump"]["spheres"] = after["particles"]["others"]["clump"]["spheres"]
+    message = (
+        "rods has clumps of 3 spheres, but start_from has other ones, clumps of 4 spheres; give the group"
+    )
+    with pytest.raises(SceneError, match=message):
+        Simulation(Scene.from_dict(after), threads=1)
 
 
 def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):

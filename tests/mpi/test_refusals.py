@@ -3,7 +3,6 @@
 import sys
 
 import pytest
-from clumps import clump_group
 from scene_builders import build_scene, particle_group
 
 from granflow.cli.main import main
@@ -25,7 +24,6 @@ WET = {
     },
 }  # fmt: skip
 REFUSED = {
-    "Clumps do not work on MPI ranks": lambda: build_scene({"rods": clump_group([[0, 0, 0]])}),
     "contact.cohesion: capillary_transfer does not work on MPI ranks": lambda: build_scene(
         {"wet": particle_group([[0, 0, 0]], liquid_content=0.01)}, **WET
     ),

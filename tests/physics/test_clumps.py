@@ -102,6 +102,24 @@ def test_rod_that_hits_a_plate_has_the_velocities_of_the_impulse(taichi_f64, ang
     assert found == pytest.approx((impulse / mass, -arm * impulse / inertia), rel=allowed)
 
 
+def test_an_adaptive_time_step_gives_the_impact_of_a_fixed_one(taichi_f64):
+    """A tilted rod that falls on a plate: free flight takes longer steps, and the rebound is the same."""
+    group = clump_group(
+        [[0.0, 0.0, 0.02]], orientation=about([0, 1, 0], 35), angular_velocity=[0.0, 30.0, 10.0]
+    )
+    runs = [
+        run_clump(group, 0.01, 0.8, 1e7, 9.81, duration=0.07, velocity_max=1.0, time_step=step)
+        for step in ("adaptive", "auto")
+    ]
+    adaptive, fixed = (snapshots[-1] for snapshots in runs)
+    assert adaptive.step < 0.8 * fixed.step
+    assert fixed.totals["plastic_dissipation"] > 1e-6, "it has bounced"
+    assert max(abs(each.totals["energy_error"]) for each in runs[0]) < 1e-3
+    for name in ("clump_velocity", "angular_velocity"):
+        scale = np.abs(fixed.particles[name]).max()
+        assert adaptive.particles[name] == pytest.approx(fixed.particles[name], abs=1e-2 * scale), name
+
+
 def test_energy_of_elastic_rods_is_conserved_over_many_steps(taichi_f64):
     """A rod that bounces on a plate, over 1e5 steps; without losses the error remains below 1e-6."""
     group = clump_group([[0.0, 0.0, 0.008]], orientation=about([0, 1, 0], 35), velocity=[0.0, 0.0, 0.0])

@@ -5,11 +5,13 @@ import math
 
 import numpy as np
 import pytest
+from clumps import clump_group
 from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane, run_and_sample, run_to_end
 from scipy.integrate import quad
 
 from granflow.errors import GranflowError, RunError
+from granflow.geometry.clump import clump_body
 from granflow.plan.build import plan_for
 from granflow.runs.read_run import read_run
 
@@ -156,6 +158,37 @@ def test_wet_particle_shares_geometrically_with_dry_ones_that_touch_it_in_turn(t
     part = 0.5 * EQUAL
     expected = [film * (1.0 - part) ** 6, *(film * (1.0 - part) ** n * part for n in range(6))]
     np.testing.assert_allclose(films_of(last), expected, rtol=1e-12)
+
+
+def test_spheres_of_clumps_have_films_and_bridges_to_other_bodies_only(taichi_f64):
+    """The lower one of three spheres of a rod hits a fixed particle: it gives and gets liquid, the others keep
+    their film.
+
+    The films of a clump have the content of its volume, in which overlapping regions count once.
+    """
+    centers = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5 * DIAMETER], [0.0, 0.0, DIAMETER]]
+    body = clump_body(tuple(map(tuple, centers)), (0.5 * DIAMETER,) * 3)
+    height = ABOVE + DIAMETER + 2e-5 + 0.5 * DIAMETER
+    rod = clump_group(
+        [[0, 0, height]], centers, 0.5 * DIAMETER, velocity=[0, 0, -0.2], liquid_content=CONTENT
+    )
+    fixed = particle_group([[0, 0, ABOVE]], DIAMETER, liquid_content=0.5 * CONTENT) | {"fixed": True}
+    scene = few_wet({"rod": rod, "fixed": fixed})
+    film = CONTENT * body.volume / 3.0
+    other = 0.5 * CONTENT * SPHERE
+    before, _ = run_to_end(scene, 0.00005)
+    np.testing.assert_allclose(films_of(before), [film, film, film, other], rtol=1e-12)
+    assert before.totals["liquid_bridge_volume"] == 0.0
+    touching, _ = run_to_end(scene, 0.0002)
+    assert touching.totals["contact_count"] == 1
+    np.testing.assert_allclose(
+        films_of(touching), [film * (1.0 - EQUAL), film, film, other * (1.0 - EQUAL)], rtol=1e-12
+    )
+    after, _ = run_to_end(scene, 0.02)
+    half = 0.5 * EQUAL * (film + other)
+    expected = [film * (1.0 - EQUAL) + half, film, film, other * (1.0 - EQUAL) + half]
+    np.testing.assert_allclose(films_of(after), expected, rtol=1e-12)
+    assert liquid(after) == liquid(touching) == liquid(before)
 
 
 def rupture_work(volume, radius_eff):

@@ -1,16 +1,16 @@
 """Groups of clumps: counts and masses, orientations, messages about invalid combinations, `explain`."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from clumps import ROD, about, clump_group
 from scene_builders import SOFT, build_scene, particle_group, plane
 
-from granflow.errors import GranflowError, SceneError
+from granflow.errors import SceneError
 from granflow.geometry.clump import clump_body, matrices
 from granflow.load import Scene
-from granflow.parallel.refusals import refuse_on_ranks
 from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
@@ -37,11 +37,35 @@ SHEARED = {
     "min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error", "periodic": ["x", "y", "z"],
     "lees_edwards": {"flow": "x", "gradient": "z", "rate": 1.0},
 }  # fmt: skip
-FIELDS = {"grid": {"cells": [2, 2, 2], "width": 0.02, "interval": 0.1}}
-GROUPS = [
-    ({"diameter": 0.004}, "particles.rods.diameter is 0.004, but the spheres of the clump define the sizes"),
-    ({"fixed": True}, "particles.rods.fixed is true, but clumps cannot be fixed"),
-    ({"insert": {"kind": "python"}}, "particles.rods.insert.kind is python, but clumps are not inserted"),
+THERMAL = {"thermal_conductivity": 1.0, "heat_capacity": 0.5}
+WARM = {
+    "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none", "heat": "conduction"},
+    "materials": {"glass": SOFT | THERMAL},
+}
+EXCLUDED = {
+    "`fixed` of the group": ({"fixed": True}, {}, "particles.rods.fixed is true, but clumps cannot be fixed"),
+    "`insert.kind` of the group: `file`, `python`": (
+        {"insert": {"kind": "python"}}, {}, "particles.rods.insert.kind is python, but clumps are not inserted"
+    ),
+    "`diameter`, `radius` of the group": (
+        {"diameter": 0.004}, {}, "particles.rods.diameter is 0.004, but the spheres of the clump define the sizes"
+    ),
+    "`damping`": (
+        {}, {"damping": {"cundall": 0.5}}, "damping cannot be combined with the clumps of particles.rods"
+    ),
+    "`domain.lees_edwards`": (
+        {}, {"walls": {}, "domain": SHEARED}, "domain.lees_edwards cannot be combined with the clumps"
+    ),
+    "`contact.heat`": (
+        {"temperature": 300.0}, WARM, "particles.rods.clump cannot be combined with an equation of the temperature"
+    ),
+}  # fmt: skip
+"""What clumps exclude, as in the table of the guide: changes of the group and of the scene, and the message."""
+OF_PROGRAMS = {
+    "changes of particles from Python", "forces from Python", "initial particles from Python",
+}  # fmt: skip
+"""Further rows of the table; `tests/engine` and `tests/api` have their messages."""
+INVALID = [
     ({"clump": {"spheres": SPHERES, "orientation": [about([0, 0, 1], 10)] * 2}},
      "particles.rods.clump.orientation is a list of length 2, but insert.positions has length 1"),
     ({"clump": {"spheres": SPHERES, "orientation": "upright"}}, "particles.rods.clump.orientation is upright, but "
@@ -49,26 +73,23 @@ GROUPS = [
     ({"clump": {"spheres": []}}, "at least one item is required, such as [{position: [0, 0, 0]"),
     ({"clump": {"spheres": CHAIN}}, "particles.rods.clump.spheres has 101 spheres, but the limit is 100"),
 ]  # fmt: skip
-PARTS = [
-    ({"damping": {"cundall": 0.5}}, "damping cannot be combined with the clumps of particles.rods"),
-    ({"run": {"duration": 1.0, "time_step": "adaptive"}}, "run.time_step cannot be combined with"),
-    ({"start_from": "out/earlier"}, "start_from cannot be combined with the clumps"),
-    ({"walls": {}, "domain": SHEARED}, "domain.lees_edwards cannot be combined with the clumps"),
-    ({"output": {"interval": 1.0, "fields": FIELDS}}, "output.fields cannot be combined with the clumps"),
-]
 
 
 @pytest.mark.parametrize(("group", "parts", "sentence"), [
-    *((group, {}, sentence) for group, sentence in GROUPS), *(({}, parts, sentence) for parts, sentence in PARTS)
+    *EXCLUDED.values(), *((group, {}, sentence) for group, sentence in INVALID)
 ])  # fmt: skip
 def test_invalid_group_or_part_has_one_message(group, parts, sentence):
     (found,) = problems(group, **parts)
     assert sentence in found
 
 
-def test_ranks_are_refused():
-    with pytest.raises(GranflowError, match="Clumps do not work on MPI ranks"):
-        refuse_on_ranks(scene=build_scene({"rods": clump_group([[0.0, 0.0, 0.0]])}))
+def test_guide_lists_what_clumps_exclude():
+    """Each row of its table is a refusal of this file or of a program."""
+    guide = (Path(__file__).parents[2] / "docs/pages/guides/clumps.md").read_text()
+    table = guide.partition("## What clumps exclude")[2].partition("## ")[0]
+    rows = [line.split("|")[1].strip() for line in table.splitlines() if line.startswith("| ")]
+    assert rows[0] == "excluded" and set(rows[1:]) == EXCLUDED.keys() | OF_PROGRAMS
+    assert len(rows) == 1 + len(EXCLUDED) + len(OF_PROGRAMS)
 
 
 def test_mass_of_a_group_gives_the_number_of_clumps():

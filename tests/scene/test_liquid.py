@@ -1,7 +1,6 @@
 """Liquid content of particle groups, and messages about invalid combinations with liquid transfer."""
 
 import pytest
-from clumps import clump_group
 from scene_builders import LIQUID, SOFT, build_scene, particle_group
 
 from granflow.errors import SceneError
@@ -35,8 +34,6 @@ CASES = [
      "liquid_content, or choose capillary_transfer"),
     ({"cohesion": {"law": "capillary_transfer"}},
      "contact.cohesion.max_bridge_volume is missing: largest volume of a bridge [m3]"),
-    ({"group": clump_group([[0, 0, 0], [0, 0, 0.1]]) | {"diameter": None}},
-     "particles.wet.clump cannot be combined with contact.cohesion: capillary_transfer"),
     ({"start_from": "out/earlier"},
      "start_from cannot be combined with contact.cohesion: capillary_transfer: it reads no liquid"),
     ({"run": {"duration": 1.0, "precision": "f32"}}, "run.precision is f32, but contact.cohesion: "

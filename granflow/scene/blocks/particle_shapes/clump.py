@@ -164,7 +164,7 @@ class Clump(Model, ParticleShape):
             yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {others}")
 
     def faults_in_scene(self, scene: Any, group: str) -> Iterator[Fault]:
-        """Clumps exclude sheared boxes, damping of all motion, adaptive steps, earlier runs and fields."""
+        """Clumps exclude sheared boxes and damping of all motion."""
         clumps = f"cannot be combined with the clumps of particles.{group}"
         if scene.damping is not None:
             yield whole(("damping",), f"{clumps}: it acts on single spheres; remove one of the two")
@@ -172,15 +172,6 @@ class Clump(Model, ParticleShape):
             yield whole(
                 ("domain", "lees_edwards"),
                 f"{clumps}, which cross no sheared boundary; remove one of the two",
-            )
-        if scene.run.time_step == "adaptive":
-            yield whole(("run", "time_step"), f"{clumps}; give a number, or leave it out")
-        if scene.start_from is not None:
-            yield whole(("start_from",), f"{clumps}: it reads spheres only; remove one of the two")
-        if scene.output.fields:
-            yield whole(
-                ("output", "fields"),
-                f"{clumps}: stresses need the forces inside a clump; remove one of the two",
             )
 
     # Warnings: a sphere that occurs twice, and gaps between the spheres
