@@ -1,7 +1,9 @@
-"""Writes the tables of docs/pages/scenes.md between markers from stored numbers; the tables are not edited by
-hand.
+"""Writes tables about the shipped scenes from stored numbers; the tables are not edited by hand.
 
-python tools/scene_table.py                     write the tables into docs/pages/scenes.md
+docs/pages/scenes.md has the comparisons with published values between markers, tools/scene_expectations.md the
+`expect` of every scene with the results of recorded runs.
+
+python tools/scene_table.py                     write the tables into both files
 python tools/scene_table.py --check             exit code 1 if the tables differ from the stored numbers
 python tools/scene_table.py --record out/mixer  first store the numbers of a finished run from its result.json
 
@@ -29,16 +31,9 @@ from granflow.scene.blocks.output import unit_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "pages" / "scenes.md", ROOT / "scenes"
+EXPECTATIONS = ROOT / "tools" / "scene_expectations.md"
 COMPARISONS, RESULTS = ROOT / "docs" / "scenes_comparisons.yaml", ROOT / "docs" / "scenes_results.json"
-COLUMNS = (
-    "scene",
-    "what should be seen",
-    "granflow",
-    "published or theory",
-    "deviation",
-    "run time",
-    "measured",
-)
+COLUMNS = ("scene", "what it shows", "granflow", "published or theory", "deviation", "run time")
 
 
 def names() -> list[str]:
@@ -57,7 +52,6 @@ def comparisons() -> Iterator[str]:
     yield row(COLUMNS)
     yield row(["---"] * len(COLUMNS))
     for each in YAML(typ="safe").load(COMPARISONS):
-        each["measured"] = str(each.get("measured", "")).partition(",")[0]  # the date, without the commit
         yield row([str(each.get(column, "")) for column in COLUMNS])
 
 
@@ -101,20 +95,39 @@ def stored_results() -> dict[str, Any]:
     return results
 
 
-TABLES = {"comparisons": comparisons, "expectations": expectations}
+BEGIN = "<!-- comparisons: written by tools/scene_table.py -->\n"
+END = "<!-- end of comparisons -->\n"
+HEADING = """# Expectations of the shipped scenes
+
+Each scene checks its own `expect`; the tests run the scenes. The column `run` contains the result of the recorded
+run, in SI units. `python tools/scene_table.py --record OUT` stores the numbers of a run.
+
+"""
 
 
-def written(text: str) -> str:
-    """The page with tables from the stored numbers. Raises ValueError if a marker is missing."""
-    for name, table in TABLES.items():
-        begin, end = f"<!-- {name}: written by tools/scene_table.py -->\n", f"<!-- end of {name} -->\n"
-        if begin not in text or end not in text:
-            raise ValueError(
-                f"{PAGE.name} lacks the markers of the table {name}: {begin.strip()} and {end.strip()}"
-            )
-        before, _, rest = text.partition(begin)
-        text = before + begin + "\n" + "\n".join(table()) + "\n\n" + end + rest.partition(end)[2]
-    return text
+def written(page: str) -> dict[Path, str]:
+    """Both files with tables from the stored numbers; `page`: the present text of PAGE.
+
+    Raises ValueError if a marker is missing.
+    """
+    if BEGIN not in page or END not in page:
+        raise ValueError(f"{PAGE.name} lacks the markers of the table: {BEGIN.strip()} and {END.strip()}")
+    before, _, rest = page.partition(BEGIN)
+    table = "\n".join(comparisons())
+    return {
+        PAGE: f"{before}{BEGIN}\n{table}\n\n{END}{rest.partition(END)[2]}",
+        EXPECTATIONS: HEADING + "\n".join(expectations()) + "\n",
+    }
+
+
+def outdated() -> dict[Path, str]:
+    """New text of each file that differs from the stored numbers."""
+    files = written(PAGE.read_text(encoding="utf-8"))
+    return {
+        path: text
+        for path, text in files.items()
+        if not path.exists() or path.read_text(encoding="utf-8") != text
+    }
 
 
 def record(folder: Path) -> None:
@@ -167,14 +180,13 @@ def main() -> int:
     options = parser.parse_args()
     for folder in options.record:
         record(folder)
-    before = PAGE.read_text(encoding="utf-8")
-    after = written(before)
+    changed = outdated()
     if options.check:
-        print(
-            "The tables are up to date." if before == after else f"{PAGE}: run python tools/scene_table.py."
-        )
-        return int(before != after)
-    PAGE.write_text(after, encoding="utf-8")
+        names = " and ".join(map(str, changed))
+        print(f"{names}: run python tools/scene_table.py." if changed else "The tables are up to date.")
+        return int(bool(changed))
+    for path, text in changed.items():
+        path.write_text(text, encoding="utf-8")
     return 0
 
 

@@ -23,7 +23,7 @@ meshes to the working directory, and `granflow run hopper.yaml` runs it. In a cl
 scenes/hopper.yaml`. The pictures and films are rendered by `granflow render`, colored by speed unless stated
 otherwise; a film takes five seconds and states its speed relative to the simulated time. `granflow report` shows a run
 in 3D.
-[Published values](scenes.md) lists the sources of the comparisons and all expected results.
+[Published values](scenes.md) compares the results of the scenes with experiments and theory.
 """
 
 

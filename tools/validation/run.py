@@ -94,6 +94,37 @@ PAGE = ROOT / "docs" / "pages" / "validation.md"
 RESULTS = ROOT / "docs" / "validation_results.json"
 """Page of the documentation, and the data from which it is rendered."""
 TEMPLATE = Path(__file__).with_name("page.md.jinja")
+SUBJECTS = {
+    "Chung & Ooi": "Elastic impacts of spheres of four materials: overlap, force and duration of Hertz.",
+    "Collisions of Zhou's model": "Head-on collisions with given restitution: rebound, duration, overlap and force.",
+    "Restitution over velocity": "Restitution that decreases with the impact velocity, from 0.01 to 10 m/s.",
+    "Other normal models": "Head-on collisions with all other normal models.",
+    "Oblique impacts": "Rebound angle and spin of impacts at an angle, sliding and sticking.",
+    "Impacts that stick": "Oblique impacts with tangential models of Mindlin and their variants.",
+    "Adhesion": "Pull-off force, and rebound of particles that nearly stick.",
+    "Viscoelastic spheres": "Restitution of viscoelastic spheres from 0.01 to 10 m/s.",
+    "Attractions": "Forces of cohesion and liquid bridges over the distance.",
+    "Rolling and twisting models": "Deceleration of rolling and spinning spheres.",
+    "Bouncing particle": "Heights of successive bounces on a floor.",
+    "Two stacked spheres": "Two spheres that are compressed between two plates and released.",
+    "Sliding and rolling": "A sphere that first slides and then rolls on a plane.",
+    "Contacts that last": "Contacts that are loaded again, and the decay of oscillations under a load.",
+    "Inelastic particle on a vibrating plate": "Take-off and periodic bounces on a vibrating plate.",
+    "Gas of inelastic spheres": "Cooling of a granular gas (Haff's law).",
+    "Gas of viscoelastic spheres": "Cooling of a gas whose restitution depends on the velocity.",
+    "Narrow silo": "Weight that the walls of a silo carry (Janssen).",
+    "Discharge of a flat-bottomed silo": "Mass flow rate over the diameter of the orifice (Beverloo).",
+    "Sheared flows": "Friction and solid fraction of flows over the inertial number.",
+    "LIGGGHTS and LAMMPS, column": "Collapse of a column, from the same initial state.",
+    "LIGGGHTS and LAMMPS, hopper": "Discharge of a hopper, from the same initial state.",
+    "LIGGGHTS and LAMMPS, flat silo with a slot": "Discharge through a slot, from the same initial state.",
+    "LIGGGHTS and LAMMPS, flat silo with a round orifice": "Discharge of the scene `flat_silo`.",
+    "LIGGGHTS and LAMMPS, impact of a sphere": "A large sphere that falls on a bed.",
+    "LIGGGHTS and LAMMPS, shaken box": "Power that a vibrating box transfers to a bed.",
+    "LIGGGHTS and LAMMPS, drum without rolling friction": "Slope and power of a rotating drum.",
+    "LIGGGHTS and LAMMPS, drum with rolling friction": "The same with a rolling model.",
+}
+"""What each section of the page compares, for its table of contents."""
 HEADS = ("case", "reference", "granflow", "deviation", "allowed", "status", "note")
 """Columns of the tables."""
 
@@ -207,11 +238,17 @@ def rendered(stored: Mapping[str, Any]) -> str:
 @dataclass(frozen=True)
 class Section:
     """Section of the page: the cells of a table of cases, and numbered notes with source, reason of the
-    allowed deviation, remark."""
+    allowed deviation, remark.
+
+    subject:  what is compared, one sentence
+    largest:  largest deviation of a case within the range of its reference, over the allowed one
+    """
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
     notes: Sequence[str]
+    subject: str
+    largest: float
 
 
 def section_of(cases: Sequence[ValidationCase]) -> Section:
@@ -229,7 +266,10 @@ def section_of(cases: Sequence[ValidationCase]) -> Section:
         )
         for each in cases
     ]
-    return Section(HEADS, rows, notes)
+    # A case that must be exact has the allowed deviation 0.
+    shares = [abs(each.deviation) / each.allowed for each in cases if each.in_range and each.deviation]
+    largest = max(shares, default=0.0)
+    return Section(HEADS, rows, notes, SUBJECTS.get(cases[0].kind, ""), largest)
 
 
 def _note(case: ValidationCase) -> str:

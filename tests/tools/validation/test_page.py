@@ -47,7 +47,7 @@ def test_wrong_number_fails_with_exit_code_1(tmp_path, families, capsys, value, 
     status = "fail" if exit_code else "pass"
     assert json.loads((tmp_path / "validation_results.json").read_text())["cases"][0]["status"] == status
     page = (tmp_path / "validation.md").read_text()
-    assert f"| {status} |" in page and "## Wrong models" in page
+    assert f"| {status} |" in page and "### Wrong models" in page
 
 
 def test_quick_runs_its_own_cases(tmp_path, monkeypatch, families):
@@ -55,7 +55,7 @@ def test_quick_runs_its_own_cases(tmp_path, monkeypatch, families):
     monkeypatch.setattr(run, "QUICK", {"short": lambda: [case(2.0)]})
     assert run.main(["--quick", "--out", str(tmp_path)]) == 0
     page = (tmp_path / "validation.md").read_text()
-    assert "--quick" in page and "## Wrong models" not in page
+    assert "--quick" in page and "### Wrong models" not in page
 
 
 def test_deviation_beyond_the_range_of_a_reference_is_a_miss(tmp_path, families, capsys):
