@@ -314,9 +314,11 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
-    """Return the rows of meters, metrics or walls by name."""
+    """Return the rows of meters, metrics or walls by name; a dash for quantities without a value."""
     return [
-        (f"{_label(quantity)}, {part}", readable(number), _unit_text(f"{quantity}.{part}", number))
+        (f"{_label(quantity)}, {part}", "-", "")
+        if math.isnan(number)
+        else (f"{_label(quantity)}, {part}", readable(number), _unit_text(f"{quantity}.{part}", number))
         for part, readings in parts.items()
         for quantity, number in readings.items()
     ]

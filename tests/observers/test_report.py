@@ -51,6 +51,7 @@ def test_table_shows_the_timings():
     pieces = ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000", "rad (22.92 deg)")
     for piece in pieces:
         assert piece in text
+    assert "nan" not in text.lower(), "a quantity without a value is a dash"
 
 
 def test_log_records_the_run_until_an_exception_ends_it(tmp_path):

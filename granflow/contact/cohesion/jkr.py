@@ -161,6 +161,6 @@ def _scale(pair: PairMaterial, radius_eff: float) -> float:
 
 MODEL = ContactModel(
     Jkr,
-    "elastic spheres with adhesion that pulls beyond contact (Johnson, Kendall & Roberts 1971)",
+    "adhesive elastic spheres, whose attraction continues without overlap (Johnson, Kendall & Roberts 1971)",
     pair_properties=WorkOfAdhesion,
 )

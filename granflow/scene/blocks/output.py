@@ -53,11 +53,11 @@ class CollisionEnergies(Model):
     """
 
     min: q.Energy = Field(
-        description="lower edge of the first class [J]; smaller energies have a class of their own",
+        description="lower edge of the first class [J]; smaller energies are counted in an additional class",
         examples=["1 nJ"],
     )
     max: q.Energy = Field(
-        description="upper edge of the last class [J]; larger energies have a class of their own",
+        description="upper edge of the last class [J]; larger energies are counted in an additional class",
         examples=["1 mJ"],
     )
     classes: q.Count = Field(30, description="number of classes between min and max, at most 200")

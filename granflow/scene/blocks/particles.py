@@ -99,7 +99,7 @@ class ThermalMotion(Model):
 
     velocity_rms: q.Speed | None = Field(
         None,
-        description="root mean square of the random velocities [m/s], which they have exactly",
+        description="root mean square of the random velocities [m/s], to which they are scaled exactly",
         examples=["0.1 m/s"],
     )
     granular_temperature: q.GranularTemperature | None = Field(

@@ -80,7 +80,7 @@ class Stage(Model):
     )
     min_duration: q.Time = Field(
         0.0,
-        description="with kinetic_energy_below or until: time before which no condition is satisfied [s]",
+        description="with kinetic_energy_below or until: shortest duration [s]",
         examples=["50 ms"],
     )
     max_duration: q.PositiveTime | None = Field(

@@ -89,7 +89,7 @@ class InSphere(SettingRegion):
 
 
 class StageSetting(Model):
-    """Properties that particles take when a stage begins; later they change as without it.
+    """Properties that particles take when a stage begins; later they change as in any stage.
 
     It applies to the particles that are present then, of some groups or of all, in a region or everywhere;
     not to those that are inserted later.
