@@ -307,21 +307,21 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
     names += [name for name in result.totals if "." in name]
     totals = result.totals
-    return [
-        (_label(name).replace(".", ", "), readable(totals[name]), _unit_text(name, totals[name]))
-        for name in names
-    ]
+    return [(_label(name).replace(".", ", "), *_value_and_unit(name, totals[name])) for name in names]
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
-    """Return the rows of meters, metrics or walls by name; a dash for quantities without a value."""
+    """Return the rows of meters, metrics or walls by name."""
     return [
-        (f"{_label(quantity)}, {part}", "-", "")
-        if math.isnan(number)
-        else (f"{_label(quantity)}, {part}", readable(number), _unit_text(f"{quantity}.{part}", number))
+        (f"{_label(quantity)}, {part}", *_value_and_unit(f"{quantity}.{part}", number))
         for part, readings in parts.items()
         for quantity, number in readings.items()
     ]
+
+
+def _value_and_unit(name: str, number: float) -> tuple[str, str]:
+    """Texts of a number and its unit; a dash for a quantity without a value."""
+    return ("-", "") if math.isnan(number) else (readable(number), _unit_text(name, number))
 
 
 def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
