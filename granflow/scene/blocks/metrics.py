@@ -781,15 +781,17 @@ def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
 
 
 class CenterOfMassMetric(Metric):
-    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped
-    positions.
+    """Center of mass [m] of the particles of some groups, or of all mobile particles; in periodic boxes, of
+    wrapped positions.
 
     >>> gf.CenterOfMassMetric(groups=["red"])
     CenterOfMassMetric(groups=('red',))
     """
 
     kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
-    groups: Names | None = optional("groups whose particles are evaluated", "all", examples=[["red"]])
+    groups: Names | None = optional(
+        "groups whose particles are evaluated, fixed ones too", "all mobile particles", examples=[["red"]]
+    )
     quantities = (
         Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
         Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
@@ -802,10 +804,12 @@ class CenterOfMassMetric(Metric):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`."""
-        groups = [scene.groups.index(name) for name in self.groups or scene.groups]
         particles = mobile_particles(snapshot.particles)
-        own = np.isin(particles["group"], groups)
-        return Reading(center_of_mass(particles["position"][own], particles["mass"][own]))
+        if self.groups:
+            groups = [scene.groups.index(name) for name in self.groups]
+            particles = selected(snapshot.particles, np.isin(snapshot.particles["group"], groups))
+        center = center_of_mass(particles["position"], particles["mass"])
+        return Reading(center, "" if len(particles["mass"]) else "there are no such particles")
 
 
 # Granular temperature
