@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.contact import Contact as Contact
     from granflow.scene.blocks.domain import Domain as Domain
     from granflow.scene.blocks.domain import LeesEdwards as LeesEdwards
+    from granflow.scene.blocks.gravity import ChangingGravity as ChangingGravity
+    from granflow.scene.blocks.gravity import GravityOscillation as GravityOscillation
+    from granflow.scene.blocks.gravity import GravityRotation as GravityRotation
+    from granflow.scene.blocks.gravity import GravityVibration as GravityVibration
     from granflow.scene.blocks.insertions import BoxRegion as BoxRegion
     from granflow.scene.blocks.insertions import CylinderRegion as CylinderRegion
     from granflow.scene.blocks.insertions import DiscFace as DiscFace
@@ -128,6 +132,7 @@ _LOCATIONS = {
     "BoxRegion": "granflow.scene.blocks.insertions.BoxRegion",
     "BoxWall": "granflow.scene.blocks.walls.box.BoxWall",
     "CenterOfMassMetric": "granflow.scene.blocks.metrics.CenterOfMassMetric",
+    "ChangingGravity": "granflow.scene.blocks.gravity.ChangingGravity",
     "Checkpoints": "granflow.scene.blocks.output.Checkpoints",
     "ClassSizes": "granflow.scene.blocks.sizes.ClassSizes",
     "Clump": "granflow.scene.blocks.particle_shapes.clump.Clump",
@@ -154,6 +159,9 @@ _LOCATIONS = {
     "FunctionError": "granflow.errors.FunctionError",
     "GranflowError": "granflow.errors.GranflowError",
     "GranularTemperatureMetric": "granflow.scene.blocks.metrics.GranularTemperatureMetric",
+    "GravityOscillation": "granflow.scene.blocks.gravity.GravityOscillation",
+    "GravityRotation": "granflow.scene.blocks.gravity.GravityRotation",
+    "GravityVibration": "granflow.scene.blocks.gravity.GravityVibration",
     "Group": "granflow.scene.blocks.particles.Group",
     "HalfSpaceOutlet": "granflow.scene.blocks.outlets.HalfSpaceOutlet",
     "HeightMetric": "granflow.scene.blocks.metrics.HeightMetric",

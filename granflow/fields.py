@@ -713,6 +713,7 @@ _STATE_QUANTITIES = by_name(
         ),
         Quantity("liquid_bridge_volume", "", "m3", "liquid in the bridges; only with liquid transfer"),
         Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
+        *(Quantity(f"gravity_{axis}", "", "m/s2", f"gravity along {axis}, if it changes") for axis in "xyz"),
     )
 )
 ENERGY_BUDGET_QUANTITIES = by_name(
@@ -733,6 +734,9 @@ ENERGY_BUDGET_QUANTITIES = by_name(
             "work at periodic boundaries: of gravity on wrapped particles, and of moving images",
         ),
         Quantity("external_work", "", "J", "work of the forces from functions of a program on the particles"),
+        Quantity(
+            "gravity_work", "", "J", "work of gravity on the particles beyond that of gravity at the start"
+        ),
         Quantity("free_wall_energy", "", "J", "kinetic energy of free walls"),
         Quantity(
             "free_wall_work", "", "J", "work of gravity, damping and the prescribed force on free walls"

@@ -785,7 +785,7 @@ def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
 
     The section of the bed is that of its bounding box across gravity; 0 without gravity or mobile particles.
     """
-    gravity = np.array(plan.scene.gravity)
+    gravity = np.array(plan.scene.usual_gravity)
     mobile = (mobility_mask(arrays) > 0.0) & (arrays["mass"] > TINY_MASS)
     magnitude = float(np.linalg.norm(gravity))
     if not magnitude or not mobile.any():

@@ -154,12 +154,14 @@ def with_plan(engine: Engine, plan: Plan) -> Engine:
     refuse_changes(engine)
     saved = saved_state(engine)
     motions = engine.state.wall_motions
+    gravity_course = engine.state.gravity_course
     backend = engine.state.backend
     saved["contacts"]["partner"] = renumbered(saved["contacts"]["partner"], engine.plan, plan)
     saved["walls_present"] += [False] * (len(plan.walls) - len(engine.plan.walls))
     motions = (*motions, *((),) * (len(plan.walls) - len(motions)))
     engine.free()
     moved = Engine(plan, backend)
+    moved.set_gravity(gravity_course)
     restore_state(moved, _fitted(saved, plan), motions)
     moved.take_over(engine)
     return moved

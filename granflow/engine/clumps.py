@@ -25,6 +25,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from granflow.engine.box import DeviceBox, ParticleWrap
+from granflow.engine.gravity import Gravity
 from granflow.engine.neighbor.phases import Phase, granularity
 from granflow.engine.state import State
 from granflow.geometry.clump import matrices
@@ -48,7 +49,7 @@ class ClumpMotion:
         self.periodic = self.features.periodic != "none"
         self.real = state.backend.real
         self.exact = state.backend.position_real
-        self.gravity = state.parameter("gravity")
+        self.gravity = state.built(Gravity)
         self.box = state.built(DeviceBox)
         self.particle_wrap = state.built(ParticleWrap)
 
@@ -65,7 +66,7 @@ class ClumpMotion:
         rotation = scaled_rotation(q)
         force, torque = self._sums(i, rotation)
         inertia = ti.cast(self.particles.clump_inertia[i], self.exact)
-        kick = exact_dt * self._acceleration(i, force)
+        kick = exact_dt * self._acceleration(i, force, self.gravity.before(pose))
         velocity = self.particles.clump_velocity[i] + kick
         momentum = self.particles.clump_angular_momentum[i] + exact_dt * torque
         q_half = half_turned(q, momentum, inertia, exact_dt, (2, 1, 0))
@@ -75,6 +76,8 @@ class ClumpMotion:
         arm = rotation_new @ offset
         displacement = exact_dt * velocity + (arm - rotation @ offset)
         self.particles.clump_velocity[i] = velocity
+        if ti.static(self.features.changing_gravity):
+            self.gravity.add_work(chunk, i, velocity, pose, dt)
         self.particles.clump_angular_momentum[i] = momentum
         self.particles.orientation[i] = q_new
         self.particles.velocity[i] = ti.cast(displacement / exact_dt, self.real)
@@ -92,21 +95,20 @@ class ClumpMotion:
         return displacement
 
     @ti.func
-    def kick(self, i, time):
+    def kick(self, i, time, pose):
         """Change velocity and angular momentum of the copy by the present forces during `time` [s]."""
         force, torque = self._sums(i, scaled_rotation(self.particles.orientation[i]))
         exact_time = ti.cast(time, self.exact)
-        self.particles.clump_velocity[i] = self.particles.clump_velocity[i] + exact_time * self._acceleration(
-            i, force
-        )
+        acceleration = self._acceleration(i, force, self.gravity.after(pose))
+        self.particles.clump_velocity[i] = self.particles.clump_velocity[i] + exact_time * acceleration
         self.particles.clump_angular_momentum[i] = (
             self.particles.clump_angular_momentum[i] + exact_time * torque
         )
 
     @ti.func
-    def _acceleration(self, i, force):
+    def _acceleration(self, i, force, gravity):
         """Acceleration [m/s2] of the clump by the contact forces of its spheres and by its weight."""
-        return force / ti.cast(self.particles.clump_mass[i], self.exact) + ti.cast(self.gravity(), self.exact)
+        return force / ti.cast(self.particles.clump_mass[i], self.exact) + ti.cast(gravity, self.exact)
 
     @ti.func
     def _sums(self, i, rotation):

@@ -251,7 +251,8 @@ class Accounting:
     power in both terms: it does not begin with a small force, as contacts do.
 
     Reads:   position, walls, image_speed, in_contact, collision_edges
-    Writes:  losses, losses_ahead, boundary_work, external_work, impulses, wall_force, collisions
+    Writes:  losses, losses_ahead, boundary_work, external_work, gravity_work, impulses, wall_force,
+             collisions
     """
 
     def __init__(self, state: State) -> None:
@@ -380,6 +381,8 @@ class Accounting:
                 self.control.boundary_work[chunk] = carried(self.control.boundary_work[chunk], 1)
             if ti.static(self.features.external_forces):
                 self.control.external_work[chunk] = carried(self.control.external_work[chunk], 1)
+            if ti.static(self.features.changing_gravity):
+                self.control.gravity_work[chunk] = carried(self.control.gravity_work[chunk], 1)
 
     @ti.func
     def count_collision(self, chunk, list_index, j, bodies, overlap_rate, with_wall: ti.template()):

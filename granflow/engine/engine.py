@@ -20,6 +20,7 @@ from granflow.engine.backend import Backend
 from granflow.engine.clumps import CLUMP_MOTION, forces_with_weight, synchronized_clumps
 from granflow.engine.contact import collision_counts
 from granflow.engine.fields import write_field
+from granflow.engine.gravity import present_gravity
 from granflow.engine.host import (
     Histories,
     HostParticles,
@@ -52,7 +53,7 @@ from granflow.engine.totals import (
     totals_of,
     wall_poses,
 )
-from granflow.engine.wall_dynamics import wall_impulses
+from granflow.engine.wall_dynamics import shift_bodies, wall_impulses
 from granflow.engine.wear import wall_wear, wear_totals
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
@@ -68,6 +69,7 @@ from granflow.plan.arrays import (
 )
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
+from granflow.scene.blocks.gravity import GravityCourse
 from granflow.scene.blocks.motions import TimedMotion, poses_at
 from granflow.snapshot import Snapshot
 
@@ -115,7 +117,7 @@ class Engine:
         self.accounting = self._new_accounting()
         self.stability_monitor = StabilityMonitor(plan)
         self.steps_since_update = 0
-        self._gravity = np.array(plan.scene.gravity)
+        self._gravity = np.array(plan.scene.gravity_at_start)
         self._walls_changed = False
         self._stage = plan.stages[0].name
         self._walls_appeared = list[str]()
@@ -212,7 +214,9 @@ class Engine:
         if self.energy_before_change is not None:
             self.energy_before_change += energy
         if self._velocities_lag:
-            velocity_gain = mobility_mask(arrays)[:, None] * (0.5 * self.time_step * self._gravity)
+            velocity_gain = mobility_mask(arrays)[:, None] * (
+                0.5 * self.time_step * present_gravity(self.state)
+            )
             for name in ("velocity", "clump_velocity"):
                 if name in arrays:
                     arrays[name] = arrays[name] - velocity_gain
@@ -271,6 +275,22 @@ class Engine:
         """Set the stage, which may have damping; takes effect with the next forces."""
         self._stage = stage
         write_damping(self.state, stage)
+
+    def set_gravity(self, course: GravityCourse) -> None:
+        """Set how gravity acts from the present time on; takes effect with the next `refresh`.
+
+        Velocities are half a step behind: if gravity jumps, they are shifted to the present time by the
+        forces before the jump, and `refresh` shifts them back by those after it.
+        """
+        state = self.state
+        now = np.array([self.time])
+        jump = course.at(now)[0] - state.gravity_course.at(now)[0]
+        if self._velocities_lag and jump.any():
+            self._kick(0.5 * self.time_step)
+            self._velocities_lag = False
+            shift_bodies(state, jump)
+        state.gravity_course = course
+        self.stepper.poses.discard()
 
     def apply_settings(self, stage: str) -> list[int]:
         """Set the properties that particles take at the start of a stage; returns the number of particles to
@@ -374,7 +394,7 @@ class Engine:
         self.stepper.poses.index_at(self.step_count)
         step = adaptive_time_step.step_for(
             self.state.built(MaxImpactVelocity).measure(),
-            float(np.linalg.norm(self._gravity)) * self.time_step,
+            self.plan.scene.largest_gravity * self.time_step,
         )
         if step != self.time_step:
             self._kick(0.5 * (self.time_step - step))
@@ -383,7 +403,8 @@ class Engine:
 
     def _kick(self, time: float) -> None:
         """Change the velocities by the present forces during `time` [s]; backwards if negative."""
-        self.state.built(build_kick)(self.state.count, time)
+        pose = self.stepper.poses.index_at(self.step_count)
+        self.state.built(build_kick)(self.state.count, time, pose)
 
     # Energies and snapshots.
 
@@ -418,7 +439,7 @@ class Engine:
         mobile = mobility_mask(arrays)
         mobile_count = float(ranks.total(np.array([mobile.sum()]))[0])
         weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(
-            np.linalg.norm(self._gravity)
+            np.linalg.norm(present_gravity(self.state))
         )
         force = forces_with_weight(arrays, self._gravity)
         net = [exact_sum(component * mobile, ranks) for component in force.T]
@@ -531,7 +552,7 @@ class Engine:
         if not self._velocities_lag:
             return arrays
         arrays |= attached_velocities(self.state, arrays)
-        clumps = synchronized_clumps(arrays, 0.5 * self.time_step, self._gravity)
+        clumps = synchronized_clumps(arrays, 0.5 * self.time_step, present_gravity(self.state))
         half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]
         mass = arrays["mass"].astype(float)[:, None]
         arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass

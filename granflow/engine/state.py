@@ -90,6 +90,7 @@ class State:
         self.count = 0
         self.ranks: Gathering = OneProcess()
         self.wall_motions: tuple[tuple[TimedMotion, ...], ...] = tuple(() for _ in plan.walls)
+        self.gravity_course = plan.scene.gravity_course({})
         self.parameters.write(plan, self.capacities)
         self.cell_sort.fill(plan)
         self.walls.fill(plan)
@@ -210,6 +211,7 @@ class FreedState:
         self.clock = state.clock
         self.count = state.count
         self.wall_motions = state.wall_motions
+        self.gravity_course = state.gravity_course
 
     def __getattr__(self, name: str) -> Any:
         raise GranflowError("This simulation has been freed. Read its results before, or create another one.")
@@ -628,6 +630,8 @@ class Control(Fields):
                                 and the time by which velocities lag behind positions there [s]
     damping:                    Cundall ratio and drag rate [1/s] of the present stage
     image_offset, image_speed:  of a sheared box, for POSE_COUNT steps [m], [m/s]
+    gravity:                    [m/s2] before and after POSE_COUNT steps; None if it does not change
+    gravity_work:               work of changing gravity of each chunk, see `engine.gravity`
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
@@ -660,6 +664,8 @@ class Control(Fields):
         position_real = backend.position_real
         self.image_offset: Any = block.scalar(position_real, POSE_COUNT) if sheared else None
         self.image_speed: Any = block.scalar(backend.real, POSE_COUNT) if sheared else None
+        changing = plan.features.changing_gravity
+        self.gravity: Any = block.vector(ti.f64, POSE_COUNT + 1) if changing else None
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""

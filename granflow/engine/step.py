@@ -57,6 +57,7 @@ from granflow.engine.codes import (
 from granflow.engine.contact import Accounting, Contact
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.flows import Flows
+from granflow.engine.gravity import Gravity
 from granflow.engine.history import CONTACT_ORDER, transfers_history
 from granflow.engine.liquid import LiquidFilms
 from granflow.engine.pair import normal_time_step
@@ -85,8 +86,8 @@ class TimeStep:
     Reads:   position, velocity, velocity_synchronized, angular_velocity, angular_velocity_synchronized,
              force, torque, mass, radius, fixed, attached_to, clump, external_force, position_at_rebuild,
              reach, neighbor lists, history, in_contact, walls; as `AttachedParticles`, `ClumpMotion`,
-             `ForceControlledWalls`, `ParticleWrap`, `Contact`, `BatchedContacts`, `ExternalForces`,
-             `Damping` and `Flows`
+             `Gravity`, `ForceControlledWalls`, `ParticleWrap`, `Contact`, `BatchedContacts`,
+             `ExternalForces`, `Damping` and `Flows`
     Writes:  position, velocity, velocity_synchronized, angular_velocity, angular_velocity_synchronized,
              force, torque, rebuild_requested, abort, abort_particle; as these, `Accounting`, `WallImpulses`,
              `LiquidFilms` and `VelocitySum`
@@ -100,7 +101,7 @@ class TimeStep:
         self.control = state.control
         self.real = state.backend.real
         self.chunk_size = state.parameter("chunk_size")
-        self.gravity = state.parameter("gravity")
+        self.gravity = state.built(Gravity)
         self.shift = state.parameter("shift")
         self.per_unit = state.parameter("per_unit")
         # Integration
@@ -148,7 +149,7 @@ class TimeStep:
         if ti.static(self.has_flows):
             self.flows.begin_step(chunk)
         size = self.chunk_size()
-        gravity = ti.cast(self.gravity(), self.real)
+        gravity = ti.cast(self.gravity.before(pose), self.real)
         shift = self.shift()[UNIT_FORCE]
         per_unit = self.per_unit()
         limit_squared = self.travel_limit_squared()
@@ -183,6 +184,8 @@ class TimeStep:
             self.particles.velocity_synchronized[i] = velocity + 0.5 * kick
         if ti.static(self.features.external_forces and self.features.energy_budget):
             self.external_forces.add_work(chunk, i, self.particles.external_force[i], velocity, dt)
+        if ti.static(self.features.changing_gravity):
+            self.gravity.add_work(chunk, i, velocity, pose, dt)
         displacement = dt * velocity
         before = self.particles.position[i]
         self.particles.position[i] = before + displacement
@@ -276,7 +279,7 @@ class TimeStep:
         fields of force and torque already hold the total.
         """
         size = self.chunk_size()
-        gravity = ti.cast(self.gravity(), self.real)
+        gravity = ti.cast(self.gravity.after(pose), self.real)
         first = chunk * size
         end = ti.min((chunk + 1) * size, count)
         self.accounting.clear_ahead(chunk)
@@ -654,13 +657,14 @@ class GpuStep:
 
 
 def build_kick(state: State) -> Callable[..., None]:
-    """Kernel (count, time [s]): change velocities by the present forces; backwards if the time is negative.
+    """Kernel (count, time [s], pose): change velocities by the present forces; backwards if the time is
+    negative.
 
         v += time F / m,   w += time M / I,   I = (2/5) m R^2
 
     The start of a run shifts all velocities back by half a step, a change of the time step by half of the
     difference. Fixed particles keep their velocity; of clumps the state changes, not yet the velocities of
-    the spheres.
+    the spheres. `pose` is the index of the poses at the present time.
 
     Reads:   force, torque, mass, radius, fixed, clump; as `ClumpMotion`
     Writes:  velocity, angular_velocity; clump_velocity, clump_angular_momentum
@@ -672,11 +676,11 @@ def build_kick(state: State) -> Callable[..., None]:
     clump_motion = state.built(ClumpMotion)
 
     @ti.kernel
-    def kick(count: ti.i32, time: real):
+    def kick(count: ti.i32, time: real, pose: ti.i32):
         for i in range(count):
             if ti.static(clumps):
                 if particles.clump[i] >= 0:
-                    clump_motion.kick(i, time)
+                    clump_motion.kick(i, time, pose)
                     continue
             particles.velocity[i] = (
                 particles.velocity[i] + particles.mobility(i) * time / particles.mass[i] * particles.force[i]

@@ -12,6 +12,7 @@ from granflow.contact.particle_equation import ParticleEquation
 from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
 from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
 from granflow.engine.flows import wall_flow_totals
+from granflow.engine.gravity import present_gravity
 from granflow.engine.host import copy_to_host
 from granflow.engine.state import ALONE, Gathering, State, mobility_mask
 from granflow.engine.statistics import LIQUID_SUMS
@@ -203,6 +204,9 @@ def totals_of(
         totals |= {name: measured[name] for name in LIQUID_SUMS}
     if plan.features.walls:
         totals["wall_contact_count"] = sums.wall_contact_count
+    if plan.features.changing_gravity:
+        names = ("gravity_x", "gravity_y", "gravity_z")
+        totals |= dict(zip(names, present_gravity(state).tolist(), strict=True))
     if plan.features.lees_edwards:
         totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
     if accounting.queued_count is not None:
@@ -251,7 +255,8 @@ def energy_budget_totals(
         ahead = exact_totals(state.ranks.total(chunk_words(state, state.control.losses_ahead)), unit)
         for term, value in zip(terms_ahead(state.plan.features), ahead.tolist(), strict=True):
             losses[LOSSES[term]] -= value
-    sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
+    names = ("boundary_work", "external_work", "gravity_work")
+    sums = {name: getattr(state.control, name) for name in names}
     other_works = {
         name: float(exact_totals(state.ranks.total(chunk_words(state, each)), unit)[0])
         for name, each in sums.items()
@@ -328,7 +333,7 @@ def energy_input(accounting: Accounting, potential: float, works: Iterable[float
         E_in = max(E_inserted - U - U_deleted, 0) + sum of max(W, 0)
 
     potential:  U [J], potential energy of the present particles
-    works:      W [J], work of the walls and of the images of a sheared box
+    works:      W [J], work of the walls, of the images of a sheared box, and of external and changing forces
 
     E_inserted is the mechanical energy of inserted particles, U_deleted the potential energy of deleted
     particles. The result does not depend on the origin of the potential.
@@ -626,7 +631,7 @@ def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, n
     if aborts.any():
         state.control.abort[0] = ABORT_LEFT_DOMAIN
         state.control.abort_particle[0] = int(arrays["id"][aborts].min())
-    accounting.delete(arrays, outlet_index, np.array(state.plan.scene.gravity))
+    accounting.delete(arrays, outlet_index, np.array(state.plan.scene.gravity_at_start))
     accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
 
 
@@ -688,7 +693,11 @@ class StabilityMonitor:
         speed:       largest speed of a particle [m/s]
         """
         self._check_speed(time, speed)
-        works = (totals[name] for name in ("wall_work", "boundary_work", "external_work") if name in totals)
+        works = (
+            totals[name]
+            for name in ("wall_work", "boundary_work", "external_work", "gravity_work")
+            if name in totals
+        )
         accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
         earlier = self._above_since
@@ -780,7 +789,7 @@ def _conserves_energy(plan: Plan) -> bool:
     """True if only inserted particles can increase the energy."""
     walls_static = all(wall.spec.is_permanent for wall in plan.walls)
     # Gravity along a periodic axis accelerates particles without limit.
-    has_other_work = any(plan.scene.gravity[axis] for axis in plan.periodic_box.axes)
+    has_other_work = any(plan.scene.gravity_at_start[axis] for axis in plan.periodic_box.axes)
     has_other_work = has_other_work or plan.features.lees_edwards
-    has_other_work = has_other_work or plan.features.external_forces
+    has_other_work = has_other_work or plan.features.external_forces or plan.features.changing_gravity
     return walls_static and not has_other_work and not plan.features.moving_walls and not plan.laws.attracts

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from granflow.engine.codes import ABORT_WALL
+from granflow.engine.gravity import Gravity, present_gravity
 from granflow.engine.state import State
 from granflow.engine.sums import carried, exact_totals, shares_rows, to_units
 from granflow.kernel_language import ti
@@ -47,16 +48,29 @@ class ControlledMotion:
         self.direction = state.parameter(f"motion.{index}.direction")
         self.velocity_of_kind = planned.spec.build_velocity(numbers)
         self.is_body = planned.spec.is_body
+        self.weight_changes = self.is_body and state.plan.features.changing_gravity
+        self.mass = numbers.mass if self.weight_changes else None
+        self.gravity = state.built(Gravity)
         self.other_force = planned.spec.build_other_force(numbers) if self.is_body else None
 
     @ti.func
     def velocity_after(self, force_on_wall, dt):
-        """Velocity [m/s] at the next half step."""
+        """Velocity [m/s] at the next half step; `force_on_wall` [N] contains `added_weight`."""
         is_first = self.fields.was_active[self.r] == 0
         return self.velocity_of_kind(self.fields.velocity[self.r], force_on_wall, dt, is_first)
 
     @ti.func
-    def add_work(self, force_on_wall, velocity, dt):
+    def added_weight(self, pose):
+        """Weight [N] of a body along its direction at the begin of a step beyond that at the start, which its
+        numbers contain; 0 for other motions."""
+        weight = ti.cast(0.0, ti.f64)
+        if ti.static(self.weight_changes):
+            change = self.gravity.before(pose) - self.gravity.at_start()
+            weight = ti.cast(self.mass(), ti.f64) * change.dot(ti.cast(self.direction(), ti.f64))
+        return weight
+
+    @ti.func
+    def add_work(self, force_on_wall, added_weight, velocity, dt):
         """Add the work on the particles, and of other forces on a body, with the mean velocity: exact for it.
 
         velocity:  at the next half step [m/s]
@@ -70,7 +84,7 @@ class ControlledMotion:
         )
         if ti.static(self.is_body):
             self.fields.work[self.r] = (
-                self.fields.work[self.r] + self.other_force(velocity_mean) * displacement
+                self.fields.work[self.r] + (self.other_force(velocity_mean) + added_weight) * displacement
             )
 
 
@@ -128,8 +142,9 @@ class ForceControlledWalls:
             velocity = ti.cast(0.0, ti.f64)
             force_on_wall = ti.cast(self._force_units(chunks, r), ti.f64) / ti.cast(self.per_unit(), ti.f64)
             if self.fields.active[pose, r] == 1:
-                velocity = self.motions[r].velocity_after(force_on_wall, dt)
-                self.motions[r].add_work(force_on_wall, velocity, dt)
+                added_weight = self.motions[r].added_weight(pose)
+                velocity = self.motions[r].velocity_after(force_on_wall + added_weight, dt)
+                self.motions[r].add_work(force_on_wall, added_weight, velocity, dt)
             self.fields.velocity[r] = velocity
             self.fields.was_active[r] = self.fields.active[pose, r]
             self.fields.offset[r] = self.fields.offset[r] + dt * velocity
@@ -204,6 +219,20 @@ def upload_running(state: State, times: np.ndarray) -> None:
         for controlled in state.plan.controlled_motions
     ]
     state.wall_dynamics.active.from_numpy(np.stack(running, axis=1).astype(np.int32))
+
+
+def shift_bodies(state: State, change: np.ndarray) -> None:
+    """Shift the velocities of free walls, half a step behind the positions, for a jump of gravity (3,)
+    [m/s2].
+
+    The velocity at the present time remains, because the kick after the jump is that of the new gravity.
+
+    Writes:  velocity
+    """
+    for r, controlled in enumerate(state.plan.controlled_motions):
+        if controlled.spec.is_body and state.wall_dynamics.was_active[r]:
+            kick = 0.5 * state.clock.time_step * float(change @ np.array(controlled.direction))
+            state.wall_dynamics.velocity[r] = float(state.wall_dynamics.velocity[r]) - kick
 
 
 def mark_rebuild(state: State) -> None:
@@ -312,11 +341,17 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for r in np.flatnonzero(fields.was_active.to_numpy()):
         controlled = state.plan.controlled_motions[r]
         spec = controlled.spec
-        velocity[r] = spec.velocity_at_positions(controlled.numbers, velocity_half[r], force_on_wall[r], half)
+        added_weight = 0.0
+        if spec.is_body:
+            added = present_gravity(state) - np.array(state.plan.scene.gravity_at_start)
+            added_weight = controlled.numbers["mass"] * float(added @ np.array(controlled.direction))
+        force = force_on_wall[r] + added_weight
+        velocity[r] = spec.velocity_at_positions(controlled.numbers, velocity_half[r], force, half)
         velocity_mean = 0.5 * (velocity_half[r] + velocity[r])
         work_on_particles[r] -= half * velocity_mean * force_on_wall[r]
         if spec.is_body:
-            work[r] += half * velocity_mean * spec.other_force(controlled.numbers, velocity_mean)
+            other = spec.other_force(controlled.numbers, velocity_mean) + added_weight
+            work[r] += half * velocity_mean * other
     return velocity, work_on_particles, work
 
 

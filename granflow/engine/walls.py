@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.box import DeviceBox, upload_offsets
+from granflow.engine.gravity import upload_gravity
 from granflow.engine.mesh import SAME_DIRECTION
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import ForceControlledWalls, upload_running
@@ -508,12 +509,14 @@ class WallPoses:
             self.next += steps
 
     def _upload(self, step: int) -> None:
-        """Upload the poses of walls and images from step number `step`."""
+        """Upload the poses of walls and images, and gravity, from step number `step`."""
         self._first_step = step
         if self._state.plan.features.moving_walls:
             upload_poses(self._state, step)
         if self._state.plan.features.lees_edwards:
             upload_offsets(self._state, step)
+        if self._state.plan.features.changing_gravity:
+            upload_gravity(self._state, step)
 
     def _steps_to_displacement_limit(self, steps_since_rebuild: int) -> int:
         """Steps until the fastest wall may reach its limit between rebuilds, or an image the skin.

@@ -94,7 +94,7 @@ class LiveWall:
                 f"walls[{self.name!r}] was removed at {wall.spec.end_time:.6g} s: it cannot move."
             )
         (present,) = wall_motions([wall.motions], state.progress.stage_times)
-        begun = [each.numeric(state.plan.scene.gravity).not_before(time) for each in motions]
+        begun = [each.numeric(state.plan.scene.usual_gravity).not_before(time) for each in motions]
         state.change_walls(with_motions(state.plan, self.name, begun, time, present))
 
 

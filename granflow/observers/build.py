@@ -127,7 +127,7 @@ def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
     `out_dir`: directory of `timeseries.csv`; without it no file is written, but the meters are updated. The
     interval is `output.timeseries_interval`, or `output.interval` if that is not given [s].
     """
-    gravity = float(np.linalg.norm(plan.scene.gravity))
+    gravity = plan.scene.largest_gravity
     flow_meters = {
         name: FlowCounter(meter, plan.periodic_box, plan.scene.flow_meter_parts(name), gravity)
         for name, meter in plan.scene.output.flow_meters.items()

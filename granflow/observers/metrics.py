@@ -75,7 +75,7 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
     """Return a meter for each metric of the plan, by its name in `output.metrics`."""
     scene = MeasuredScene(
         plan.scene.domain,
-        plan.scene.gravity,
+        plan.scene.usual_gravity,
         groups=tuple(group.name for group in plan.groups),
         materials=tuple(plan.scene.materials),
         walls=tuple(wall.name for wall in plan.walls),

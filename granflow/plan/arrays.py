@@ -179,8 +179,8 @@ FURTHER_GIVERS = 2
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
     """Sums of each chunk, for the energy budget, wall forces and collisions, and the wear of walls.
 
-    Terms of the energy budget, wall forces, work at periodic boundaries and of external forces, numbers of
-    collisions. Each term has two components, see `engine.sums`.
+    Terms of the energy budget, wall forces, work at periodic boundaries, of external forces and of changing
+    gravity, numbers of collisions. Each term has two components, see `engine.sums`.
     """
     chunks = plan.capacities.chunks
     measured = plan.capacities.measured_walls
@@ -191,6 +191,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     worn = plan.capacities.wear_rows
     givers = (wall_rows, plan.capacities.walls + FURTHER_GIVERS)
     has_external_work = energy_budget and plan.features.external_forces
+    has_gravity_work = energy_budget and plan.features.changing_gravity
     has_image_work = energy_budget and plan.features.periodic != "none"
     ahead = terms_ahead(plan.features)
 
@@ -203,6 +204,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         sums("losses_ahead", (chunks,), len(ahead), energy_budget and len(ahead) > 0),
         sums("boundary_work", (chunks,), 1, has_image_work),
         sums("external_work", (chunks,), 1, has_external_work),
+        sums("gravity_work", (chunks,), 1, has_gravity_work),
         sums("collisions", (wall_rows, classes), 1, classes > 0),
         sums("wear", (1, worn), WEAR_SIZE, worn > 0),
         sums("wall_flows", givers, wall_flows, wall_flows > 0),
@@ -293,7 +295,7 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
         yield _vector("per_unit.wear", "f64", high_words)
     if plan.features.liquid_transfer:
         yield _scalar("liquid_unit", "f64", plan.liquid_unit)
-    yield _vector("gravity", "f64", plan.scene.gravity)
+    yield _vector("gravity", "f64", plan.scene.gravity_at_start)
     yield _vector("box_width", "position", plan.periodic_box.width)
     yield _vector("domain_low", "position", plan.domain_low)
     yield _vector("domain_high", "position", plan.domain_high)

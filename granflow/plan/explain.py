@@ -4,7 +4,6 @@ The text is a table with one section per subject. Each section is a function tha
 puts them together.
 """
 
-import math
 import textwrap
 from collections.abc import Iterable, Iterator
 from math import ceil
@@ -134,7 +133,7 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Row of the Bond number, the largest ratio of pull-off force to weight; empty without gravity or
     cohesion."""
     law = plan.laws.cohesion
-    gravity = math.hypot(*plan.scene.gravity)
+    gravity = plan.scene.largest_gravity
     if law is None or not gravity:
         return
     numbers = []

@@ -14,6 +14,7 @@ from granflow.contact.law import SLOTS, ContactModel
 from granflow.contact.registry import ContactLaws
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, size_classes
+from granflow.scene.blocks.gravity import motions_of, vectors_of
 from granflow.scene.blocks.run import Damping
 
 
@@ -65,6 +66,8 @@ class Features:
     """Whether walls wear."""
     wall_groups: bool = False
     """Whether particles of some groups pass through a wall."""
+    changing_gravity: bool = False
+    """Whether gravity changes with time, or in a stage."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -313,7 +316,21 @@ def _rows(
     if selective:
         place = where("walls", selective[0], "groups")
         yield "wall_groups", True, f"some groups pass through {', '.join(selective)} ({place})"
+    if scene.gravity_changes:
+        yield "changing_gravity", True, _gravity_reason(scene)
     yield "external_forces", False, "forces are added from Python only"
+
+
+def _gravity_reason(scene: Scene) -> str:
+    """What changes gravity: its motions, its table, or stages."""
+    motions = motions_of(scene.gravity)
+    if motions:
+        kinds = " and ".join(dict.fromkeys(each.kind for each in motions))
+        return f"{kinds} of gravity ({scene.where('gravity', 'motion')})"
+    if len(vectors_of(scene.gravity)) > 1:
+        return f"table of gravity ({scene.where('gravity', 'vectors')})"
+    index = next(number for number, each in enumerate(scene.stages) if each.gravity is not None)
+    return f"gravity of stage {scene.stages[index].name} ({scene.where('stages', index, 'gravity')})"
 
 
 def _model_row(scene: Scene, models: Mapping[str, ContactModel], slot: str) -> tuple[str, bool | str, str]:

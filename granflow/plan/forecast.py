@@ -90,8 +90,8 @@ def forecast_velocity(plan: Plan) -> ImpactVelocity:
     heights = drop_heights(plan)
     if scene.run.velocity_max is not None or scene.domain.image_speed or not heights:
         return planned
-    magnitude = float(np.linalg.norm(scene.gravity))
-    up = -np.array(scene.gravity) / magnitude
+    magnitude = float(np.linalg.norm(scene.usual_gravity))
+    up = -np.array(scene.usual_gravity) / magnitude
     if any(each.can_lift(up) for wall in plan.walls for each in wall.motions):
         return planned
     belt = max((sum(each.surface_speed for each in wall.motions) for wall in plan.walls), default=0.0)
@@ -111,9 +111,9 @@ def drop_heights(plan: Plan) -> dict[str, float]:
     """Height [m] of the highest particle of each mobile group above the lowest level, by name; empty if it is
     not known."""
     scene = plan.scene
-    if not np.any(scene.gravity):
+    if scene.gravity_changes or not np.any(scene.usual_gravity):
         return {}
-    up = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
+    up = -np.array(scene.usual_gravity) / np.linalg.norm(scene.usual_gravity)
     low = _lowest_level(scene, plan.walls, up)
     heights: dict[str, float] = {}
     for name, group in scene.particles.items():
@@ -252,7 +252,7 @@ def value_rows(
     given = scene.run.velocity_max
     if falling and given is not None and not scene.damping and not scene.domain.image_speed:
         name = max(falling, key=lambda each: heights[each])
-        fall = sqrt(2.0 * float(np.linalg.norm(scene.gravity)) * heights[name])
+        fall = sqrt(2.0 * float(np.linalg.norm(scene.usual_gravity)) * heights[name])
         text = (
             f" is {given:.3g} m/s, but particles.{name} can fall {heights[name]:.3g} m and reach {fall:.3g} "
             "m/s: time step and forecasts are those of slower impacts. Check the unit, or set it to "
@@ -303,7 +303,7 @@ def _vibration_periods(scene: Scene) -> dict[float, str]:
     for name, wall in scene.walls.items():
         for motion in wall.motion:
             if motion.oscillates:
-                found.setdefault(motion.numeric(scene.gravity).period, name)
+                found.setdefault(motion.numeric(scene.usual_gravity).period, name)
     found.pop(inf, None)
     return found
 
@@ -468,8 +468,8 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
     for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
         first = min((each for each in plan.controlled_motions if each.name == name), key=lambda m: span(m)[0])
         area = plan.walls[first.wall].area
-        down = abs(float(np.dot(scene.gravity, first.direction)))
-        is_along = down >= (1.0 - LEVEL) * float(np.linalg.norm(scene.gravity))
+        down = abs(float(np.dot(scene.usual_gravity, first.direction)))
+        is_along = down >= (1.0 - LEVEL) * float(np.linalg.norm(scene.usual_gravity))
         if area is None or not is_along or not all(each.follows_force for each in scene.walls[name].motion):
             continue
         is_loose = plan.laws.cohesion is not None or any(group.shape.packs_loosely for group in groups)
@@ -566,7 +566,7 @@ def _largest_flow(
     velocity nor fall: walls can carry them away. `interval` [s]: mean time between particles.
     """
     velocity = np.array(group.velocity, float)
-    gravity = np.array(scene.gravity, float)
+    gravity = np.array(scene.usual_gravity, float)
     gathered = ceil(group.count / MAX_BATCHES) * interval
     region = insertion.region_for(0.5 * group.outer_diameters[1], velocity, gathered)
     normal, depth, area, width = region.face(gravity if gravity.any() else velocity)
@@ -592,7 +592,7 @@ def _wrong_direction(
     `is_still`: whether no wall moves, which can carry particles away.
     """
     velocity = np.array(group.velocity, float)
-    gravity = np.array(scene.gravity, float)
+    gravity = np.array(scene.usual_gravity, float)
     normal, _, area, _ = insertion.region_for(0.5 * group.outer_diameters[1], np.zeros(3)).face(velocity)
     through, along = (
         0.0 if abs(each @ normal) <= ALONG_FACE * np.linalg.norm(each) else float(each @ normal)

@@ -224,7 +224,7 @@ def supported_pairs(plan: Plan) -> Iterator[tuple[PairCase, float]]:
     each of which carries M |g| / N. An impact compresses 2 N contacts, those with the large particle and
     those below: for each the effective mass is M / (2 N). Without gravity there is no bed.
     """
-    magnitude = float(np.linalg.norm(plan.scene.gravity))
+    magnitude = plan.scene.largest_gravity
     mobile = {name: each for name, each in plan.scene.particles.items() if not each.fixed}
     for large, small in product(plan.groups, plan.groups):
         if large.spec.fixed or small.spec.fixed or not magnitude or not _collide(plan, large, small):
@@ -362,7 +362,7 @@ def weight_pressure(scene: Scene) -> tuple[float, float]:
     packing, the pressure is not above that of a full domain. The walls carry a part of the weight (Janssen
     1895), which is not considered: the pressure is an upper bound for a bed that keeps its section.
     """
-    gravity = np.array(scene.gravity)
+    gravity = np.array(scene.usual_gravity)
     size = np.subtract(scene.domain.max, scene.domain.min)
     total = 0.0
     largest_section = 0.0

@@ -236,7 +236,7 @@ class Plan:
     @property
     def largest_weight(self) -> float:
         """Weight [N] of the heaviest sphere."""
-        gravity = float(np.linalg.norm(self.scene.gravity))
+        gravity = self.scene.largest_gravity
         return max(
             gravity * sphere_mass(0.5 * group.spec.diameters[1], group.density) for group in self.groups
         )
@@ -263,8 +263,9 @@ class Plan:
 
     @property
     def has_poses(self) -> bool:
-        """True if walls or periodic images change their position from step to step."""
-        return self.features.moving_walls or self.features.lees_edwards
+        """True if walls, periodic images or gravity change from step to step."""
+        features = self.features
+        return features.moving_walls or features.lees_edwards or features.changing_gravity
 
     @property
     def measured_areas(self) -> dict[str, float | None]:

@@ -76,10 +76,10 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
 def free_fall(scene: Scene) -> float:
     """Velocity [m/s] after free fall from one corner of the domain to the opposite one.
 
-    v = sqrt(2 (|gx| Lx + |gy| Ly + |gz| Lz))
+    v = sqrt(2 (|gx| Lx + |gy| Ly + |gz| Lz))        with the largest gravity of the run
     """
     size = np.subtract(scene.domain.max, scene.domain.min)
-    return float(np.sqrt(2.0 * np.abs(scene.gravity) @ size))
+    return float(np.sqrt(2.0 * scene.drop_energy(size)))
 
 
 STEP_SHARE = 1.0 - LARGEST_OVERLAP

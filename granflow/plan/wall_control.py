@@ -78,7 +78,7 @@ def controlled_motions_of(
                     key, sentence = unstable
                     location = scene.locate("walls", wall.name, "motion", number, key)
                     raise SceneError(f"{location}: walls.{wall.name}.motion.{key} {sentence}")
-                numbers = motion.numbers(wall.area or 0.0, scene.gravity, layer, step)
+                numbers = motion.numbers(wall.area or 0.0, scene.gravity_at_start, layer, step)
                 source = scene.where("walls", wall.name, "motion", number)
                 controlled_motions.append(ControlledMotion(index, number, wall.name, motion, numbers, source))
     return tuple(controlled_motions)

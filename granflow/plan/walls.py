@@ -65,7 +65,7 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
             surface=surface,
             area=surface.area if wall.is_bounded else wall.periodic_area(scene.domain),
             material=material_numbers[wall.material],
-            motions=tuple(each.numeric(scene.gravity) for each in wall.motion),
+            motions=tuple(each.numeric(scene.usual_gravity) for each in wall.motion),
         )
         for (name, wall), surface in zip(walls.items(), surfaces, strict=True)
     )
@@ -189,10 +189,10 @@ def surface_speed(scene: Scene) -> float:
     extent = scene.domain.diagonal
     fastest = 0.0
     for wall in scene.walls.values():
-        motions = [each.numeric(scene.gravity) for each in wall.motion]
+        motions = [each.numeric(scene.usual_gravity) for each in wall.motion]
         controlled_speed = max(
             sum(
-                each.controlled_speed(scene.gravity, extent)
+                each.controlled_speed(scene.gravity_along, extent)
                 for each in motions
                 if each.is_in_stage(stage.name)
             )

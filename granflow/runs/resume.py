@@ -135,6 +135,7 @@ FEATURE_SWITCHES = (
     "fixed_particles",
     "attached_particles",
     "wall_groups",
+    "changing_gravity",
 )
 """Features that determine which arrays exist."""
 
@@ -302,7 +303,7 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
     stage_times: StageTimes = saved["stage_progress"]["stage_times"]
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
     motions_before = [
-        [each.numeric(before.gravity) for each in wall.motion] for wall in before.walls.values()
+        [each.numeric(before.usual_gravity) for each in wall.motion] for wall in before.walls.values()
     ]
     motions = [
         wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])

@@ -113,6 +113,7 @@ class RunState:
         engine = self.engine
         progress.begin(stage, engine.time)
         engine.set_stage(stage.name)
+        engine.set_gravity(engine.plan.scene.gravity_course(progress.stage_times))
         progress.set_walls(engine)
         self.insertion.insert_due(engine)
         engine.refresh()
@@ -176,6 +177,7 @@ class RunState:
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
         progress.load_state_dict(saved["stage_progress"], engine.plan.stages, reopened, change.keeps_course)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
+        engine.set_gravity(engine.plan.scene.gravity_course(progress.stage_times))
         restore_state(engine, saved["engine"], motions, checkpoint.rank_files)
         engine.set_stage(progress.stage)
         engine.stability_monitor.load_state_dict(saved["stability"])

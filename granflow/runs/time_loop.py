@@ -33,6 +33,7 @@ from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import LastGoodState, RunState
 from granflow.runs.stages import warn_without_rest
 from granflow.runs.timings import collect_result
+from granflow.scene.blocks.gravity import motions_of, vectors_of
 from granflow.scene.blocks.run import Stage
 from granflow.snapshot import TOTALS, Snapshot
 
@@ -418,6 +419,11 @@ def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meter
 
 
 def _lower_faces(plan: Plan) -> set[str]:
-    """Faces of the domain toward which gravity points."""
-    signs = np.concatenate([-np.array(plan.scene.gravity), np.array(plan.scene.gravity)])
-    return {face for face, sign in zip(EXIT_FACES, signs, strict=True) if sign > 0.0}
+    """Faces of the domain toward which gravity points at any time; all faces if it turns."""
+    found = set()
+    for gravity in plan.scene.gravities:
+        for vector in vectors_of(gravity):
+            signs = np.concatenate([-np.array(vector), np.array(vector)])
+            turns = any(each.rotates for each in motions_of(gravity))
+            found |= {face for face, sign in zip(EXIT_FACES, signs, strict=True) if sign > 0.0 or turns}
+    return found

@@ -32,9 +32,10 @@ from granflow.fields import (
 )
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.gravity import AnyGravity, motions_of
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
-from granflow.scene.blocks.motions import MotionSpec
+from granflow.scene.blocks.motions import MotionSpec, TimedMotion
 from granflow.scene.blocks.particles import (
     TimedInsertion,
 )
@@ -122,9 +123,7 @@ def partial_scene_of(document: Document, data: Mapping[str, Any], errors: Iterab
 def _several() -> frozenset[str]:
     """The sections with several entries: mappings by name, and lists of models."""
     return frozenset(
-        name
-        for name, each in SceneInput.model_fields.items()
-        if get_origin(each.annotation) in (dict, tuple) and name != "gravity"
+        name for name, each in SceneInput.model_fields.items() if get_origin(each.annotation) in (dict, tuple)
     )
 
 
@@ -568,7 +567,8 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
         if name in known[:index]:
             reason = f"stages.{known.index(name)} has the same name; give each stage a different name"
             yield Fault(("stages", index, "name"), reason)
-    for path, part in [*_walls(parts.scene), *_motions(parts.scene), *_damping(parts.scene)]:
+    named = [*_walls(parts.scene), *_motions(parts.scene), *_damping(parts.scene)]
+    for path, part in [*named, *_gravity_motions(parts.scene)]:
         for index, name in enumerate(part.stages or ()):
             location = (*path, "stages", index)
             if name not in known and parts.scene.stages:
@@ -601,7 +601,7 @@ def duration(parts: PartialScene) -> Iterator[Fault]:
 
 def gamma_requires_gravity(parts: PartialScene) -> Iterator[Fault]:
     """Gamma, the peak acceleration over gravity, requires gravity."""
-    if any(parts.scene.gravity):
+    if any(parts.scene.usual_gravity):
         return
     for path, motion in _motions(parts.scene):
         if motion.key_for_gravity is not None:
@@ -636,6 +636,16 @@ def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
     """Each motion of a wall with its key path."""
     for path, wall in _walls(scene):
         yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))
+
+
+def _gravity_motions(scene: SceneInput) -> Iterator[tuple[KeyPath, TimedMotion]]:
+    """Each motion of gravity with its key path."""
+    places: list[tuple[KeyPath, AnyGravity]] = [(("gravity",), scene.gravity)]
+    for number, stage in enumerate(scene.stages):
+        if stage.gravity is not None:
+            places.append((("stages", number, "gravity"), stage.gravity))
+    for path, gravity in places:
+        yield from (((*path, "motion", index), each) for index, each in enumerate(motions_of(gravity)))
 
 
 def _damping(scene: SceneInput) -> Iterator[tuple[KeyPath, Damping]]:
@@ -914,7 +924,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("stages",), stage_names),
     (("particles",), wall_groups),
     (("stages", "run"), duration),
-    (("gravity",), gamma_requires_gravity),
+    (("gravity", "stages"), gamma_requires_gravity),
     (("run",), force_controlled_walls),
     ((), some_particles),
     (("domain",), inside_domain),
@@ -928,7 +938,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact", "output"), heat_options),
     (("contact", "pairs"), material_values),
     (("output", "stages", "domain", "contact"), field_grids),
-    (("output", "gravity", "domain"), metrics),
+    (("output", "gravity", "stages", "domain"), metrics),
     (("output",), residence_time),
     (("output", "expect", "stages"), expected_names),
     (("output", "expect", "stages", "contact"), expected_parts),

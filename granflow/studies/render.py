@@ -183,7 +183,7 @@ def setup_for(
     """
     run = read_run(directory)
     scene = None if run.scene_problem else run.scene
-    view = view_of(style.view, None if scene is None else np.array(scene.gravity))
+    view = view_of(style.view, None if scene is None else np.array(scene.usual_gravity))
     whole = frames_of(directory)
     domain = domain_of(scene)
     shown = frames if style.fit == "particles" else whole

@@ -173,7 +173,7 @@ def _particle_header(
     )
     radius_step = max(float(radii.max()) / LARGEST_INTEGER, fine) or 1.0
     scales = list(_scales(particles, scene))
-    gravity = None if scene is None else np.array(scene.gravity)
+    gravity = None if scene is None else np.array(scene.usual_gravity)
     entries = [
         {
             "time": f"{frame.time:.4g} s",

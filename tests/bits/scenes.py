@@ -63,7 +63,7 @@ def poured() -> Scene:
 
 def moved_walls() -> Scene:
     """A bed with a coarse particle between a turning mesh, a belt, a servo lid, a free and a shaken wall, which
-    wear by all laws; particles are attached to the lid and to the mesh."""
+    wear by all laws; particles are attached to the lid and to the mesh. Gravity turns and vibrates."""
     os.chdir(FILES.name)  # where a scene without a file looks for meshes
     points, corners = cube()
     write(Path("cube.stl"), 0.02 * points + [0.011, 0.011, -0.0185], corners)
@@ -107,6 +107,8 @@ def moved_walls() -> Scene:
     }
     walls["low_z"]["wear"] = {"law": "archard", "coefficient": 1e-3, "hardness": "2 GPa"}
     walls["low_x"]["wear"] = {"law": "relative"}
+    turned = {"kind": "rotation", "axis": [1, 0, 0], "angular_velocity": 200.0, "start": 5e-4}
+    trembling = {"kind": "vibration", "amplitude": [5.0, 0, 0], "frequency": 700.0}
     lattice = moving_lattice((6, 6, 5), largest=0.0062, speed=1.0)
     coarse = particle_group([[0.021, 0.021, 0.0365]], 0.009, velocity=[[0.0, 0.0, -6.0]])
     on_lid = particle_group(0.026 * np.argwhere(np.ones((2, 2, 1))) + [0.0049, 0.0049, 0.0365], 0.006)
@@ -116,7 +118,8 @@ def moved_walls() -> Scene:
         "on_cube": on_cube | {"fixed": {"to": "cube"}},
     }
     return build_scene(
-        {"lattice": lattice, "coarse": coarse, **attached}, walls=walls, gravity=[0.0, 3.0, -9.81],
+        {"lattice": lattice, "coarse": coarse, **attached}, walls=walls,
+        gravity={"vector": [0.0, 3.0, -9.81], "motion": [turned, trembling]},
         numerics={"chunk_size": 32, "skin": 2e-4},
         run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6, "precision": "mixed"},
         output={"interval": 1e-3, "energy_budget": True, "wall_forces": True, "walls": False, "checkpoint": {"interval": 2.5e-4, "keep": 100}},
@@ -130,7 +133,7 @@ VISCOUS_BRIDGES = {"law": "capillary", **VISCOUS}
 
 def wet_clumps() -> Scene:
     """Rods, tetrahedra and spheres with viscous bridges of fixed volume fall into a box that is periodic along x;
-    rain of clumps."""
+    rain of clumps; gravity jumps to a table."""
     rng = np.random.default_rng(8)
     sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
     velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
@@ -146,11 +149,13 @@ def wet_clumps() -> Scene:
     contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": VISCOUS_BRIDGES}
     walls = {name: wall for name, wall in box(0.055).items() if not name.endswith("x")}
     domain = {"min": [0.0, -0.01, -0.01], "max": [0.055, 0.065, 0.065], "periodic": ["x"], "on_exit": "error"}
+    tilted = {"times": [0.0, 0.01], "vectors": [[0.0, 30.0, -95.0], [40.0, 0.0, -90.0]]}
     return build_scene(
         {"rods": rods, "others": others, "balls": balls, "rain": rain}, walls, contact=contact, domain=domain,
         pair={"friction": 0.4, "restitution": 0.4, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
         gravity=[0.0, 0.0, -100.0], numerics={"chunk_size": 32, "max_overlap": 0.2},
-        run={"duration": 0.012, "velocity_max": 4.0, "time_step": 2e-6},
+        stages=[{"name": "fall", "duration": 0.006}, {"name": "tilted", "duration": 0.006, "gravity": tilted}],
+        run={"velocity_max": 4.0, "time_step": 2e-6},
         output={"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.001, "keep": 100}},
     )  # fmt: skip
 
@@ -264,9 +269,10 @@ QUICK = {
             "wear_volume.cube",
             "wear_volume.low_z",
             "wear_normal_work.low_x",
+            "gravity_work",
         ),
     ),
-    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count")),
+    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count", "gravity_work")),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
     "heat": Row(
         conducting,

@@ -63,8 +63,8 @@ class CheckedScene(Protocol):
         """The simulated box."""
 
     @property
-    def gravity(self) -> Vector3:
-        """Gravity [m/s2]."""
+    def usual_gravity(self) -> Vector3:
+        """The largest gravity that the scene gives [m/s2]."""
 
     @property
     def particles(self) -> Mapping[str, Group]:
@@ -537,7 +537,7 @@ class ReposeMetric(Metric):
 
     def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
         """See `Metric`."""
-        if not any(parts.scene.gravity):
+        if not any(parts.scene.usual_gravity):
             yield Fault(("kind",), "gravity is zero, so the slope is undefined; remove this metric")
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
@@ -612,7 +612,7 @@ class HeightMetric(Metric):
 
     def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
         """See `Metric`."""
-        if not any(parts.scene.gravity):
+        if not any(parts.scene.usual_gravity):
             yield Fault(("kind",), "gravity is zero, so the height is undefined; remove this metric")
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:

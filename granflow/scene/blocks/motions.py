@@ -157,8 +157,11 @@ class TimedMotion(Model):
         """Largest speed [m/s] of the surface along itself."""
         return 0.0
 
-    def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
-        """Largest speed [m/s] of a motion by forces, within a `distance` [m]; 0 for other motions."""
+    def controlled_speed(self, gravity_along: Callable[[Sequence[float]], float], distance: float) -> float:
+        """Largest speed [m/s] of a motion by forces, within a `distance` [m]; 0 for other motions.
+
+        `gravity_along`: largest component of gravity [m/s2] along a direction.
+        """
         return 0.0
 
     @property
@@ -448,28 +451,11 @@ class SurfaceVelocity(VelocityMotion):
         return self._top_speed
 
 
-class Rotation(TimedMotion):
-    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at
-    the start.
-
-    The torque on a wall refers to `point` of its first rotation, unless the wall has a `torque_point`.
-
-    >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
-    3.141592653589793
+class SteadyRotation(TimedMotion):
+    """Rotation about an axis at a rate that is constant or changes linearly during a ramp at the start: its
+    angle at given times.
     """
 
-    saved_numbers: ClassVar[Mapping[str, int]] = {
-        "point": 3,
-        "axis": 3,
-        "angular_velocity": 1,
-        "start": 1,
-        "end": 1,
-        "initial_angular_velocity": 1,
-        "ramp_duration": 1,
-    }
-
-    kind: Literal["rotation"] = Field("rotation", description="kind of motion")
-    point: q.Point = Field(description="a point on the axis [m]")
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
     angular_velocity: q.AngularVelocity = Field(
         description="angular velocity [rad/s], such as 30 rpm; after the ramp if there is one"
@@ -498,11 +484,6 @@ class Rotation(TimedMotion):
         """True."""
         return True
 
-    @property
-    def point_and_axis(self) -> tuple[np.ndarray, np.ndarray]:
-        """See `TimedMotion`."""
-        return _point_and_axis(self.point, self.axis)
-
     def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`."""
         time_active = self.elapsed(times)
@@ -512,21 +493,94 @@ class Rotation(TimedMotion):
         return final * time_active - change * lag, final - change * remaining
 
     @property
-    def _top_rate(self) -> float:
+    def top_rate(self) -> float:
         """Largest magnitude of the angular velocity [rad/s]."""
         return max(abs(self.angular_velocity), abs(self.initial_angular_velocity or 0.0))
-
-    def top_speed(self, reach: float) -> float:
-        """|angular velocity| reach."""
-        return self._top_rate * reach
 
     @property
     def period(self) -> float:
         """2 pi / w [s] at the largest rate; infinite without motion."""
-        return 2.0 * math.pi / self._top_rate if self._top_rate else inf
+        return 2.0 * math.pi / self.top_rate if self.top_rate else inf
 
 
-class Oscillation(TimedMotion):
+class Rotation(SteadyRotation):
+    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at
+    the start.
+
+    The torque on a wall refers to `point` of its first rotation, unless the wall has a `torque_point`.
+
+    >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
+    3.141592653589793
+    """
+
+    saved_numbers: ClassVar[Mapping[str, int]] = {
+        "point": 3,
+        "axis": 3,
+        "angular_velocity": 1,
+        "start": 1,
+        "end": 1,
+        "initial_angular_velocity": 1,
+        "ramp_duration": 1,
+    }
+
+    kind: Literal["rotation"] = Field("rotation", description="kind of motion")
+    point: q.Point = Field(description="a point on the axis [m]")
+
+    @property
+    def point_and_axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        return _point_and_axis(self.point, self.axis)
+
+    def top_speed(self, reach: float) -> float:
+        """|angular velocity| reach."""
+        return self.top_rate * reach
+
+
+class RockingRotation(TimedMotion):
+    """Rotation to and fro about an axis, sinusoidal in time: its angle at given times."""
+
+    oscillates: ClassVar[bool] = True
+
+    axis: q.Direction = Field(description="direction of the axis; its length does not matter")
+    amplitude: q.Angle = Field(
+        description="amplitude, half of the angle from end to end [rad]", examples=["30 deg"]
+    )
+    frequency: q.Frequency | None = Field(None, description="frequency [Hz]", examples=["0.5 Hz"])
+    angular_frequency: q.PositiveAngularVelocity | None = Field(
+        None, description="angular frequency [rad/s], instead of frequency", examples=["3 rad/s"]
+    )
+    phase: q.Angle = Field(
+        0.0,
+        description="phase at the start [rad]; 0: it starts at full rate from the center",
+        examples=["90 deg"],
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless one of frequency and angular_frequency is given."""
+        yield from super().faults()
+        yield from frequency_faults(self.frequency, self.angular_frequency)
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        rate = angular_frequency_of(self.frequency, self.angular_frequency)
+        return {"axis": _unit_vector(self.axis), "frequency": None, "angular_frequency": rate}
+
+    @property
+    def rotates(self) -> bool:
+        """True."""
+        return True
+
+    def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TimedMotion`."""
+        assert self.angular_frequency is not None
+        return sinusoid(self.amplitude, self.angular_frequency, self.phase, self.elapsed(times))
+
+    @property
+    def period(self) -> float:
+        """2 pi / w [s]; infinite without motion."""
+        return sinusoid_period(self.amplitude, self.angular_frequency)
+
+
+class Oscillation(RockingRotation):
     """Rotation to and fro about an axis, sinusoidal in time t since the start [s], as of a rocking drum.
 
         angle:             amplitude * (sin(angular_frequency * t + phase) - sin(phase))
@@ -539,7 +593,6 @@ class Oscillation(TimedMotion):
     0.5
     """
 
-    oscillates: ClassVar[bool] = True
     saved_numbers: ClassVar[Mapping[str, int]] = {
         "point": 3,
         "axis": 3,
@@ -552,59 +605,32 @@ class Oscillation(TimedMotion):
 
     kind: Literal["oscillation"] = Field("oscillation", description="kind of motion")
     point: q.Point = Field(description="a point on the axis [m]")
-    axis: q.Direction = Field(description="direction of the axis; its length does not matter")
-    amplitude: q.Angle = Field(
-        description="amplitude, half of the angle from end to end [rad]", examples=["30 deg"]
-    )
-    frequency: q.Frequency | None = Field(None, description="frequency [Hz]", examples=["0.5 Hz"])
-    angular_frequency: q.PositiveAngularVelocity | None = Field(
-        None, description="angular frequency [rad/s], instead of frequency", examples=["3 rad/s"]
-    )
-    phase: q.Angle = Field(
-        0.0,
-        description="phase at the start [rad]; 0: the wall starts at full rate from the center",
-        examples=["90 deg"],
-    )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless one of frequency and angular_frequency is given."""
-        yield from super().faults()
-        if self.frequency is not None and self.angular_frequency is not None:
-            yield redundant("angular_frequency", "frequency")
-        elif self.frequency is None and self.angular_frequency is None:
-            yield missing(("frequency",), "frequency of the oscillation [Hz]")
-
-    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
-        rate = self.angular_frequency
-        if rate is None:
-            assert self.frequency is not None
-            rate = 2.0 * math.pi * self.frequency
-        return {"axis": _unit_vector(self.axis), "frequency": None, "angular_frequency": rate}
-
-    @property
-    def rotates(self) -> bool:
-        """True."""
-        return True
 
     @property
     def point_and_axis(self) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`."""
         return _point_and_axis(self.point, self.axis)
 
-    def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `TimedMotion`."""
-        assert self.angular_frequency is not None
-        return sinusoid(self.amplitude, self.angular_frequency, self.phase, self.elapsed(times))
-
     def top_speed(self, reach: float) -> float:
         """|A w| reach."""
         assert self.angular_frequency is not None
         return abs(self.amplitude * self.angular_frequency) * reach
 
-    @property
-    def period(self) -> float:
-        """2 pi / w [s]; infinite without motion."""
-        return sinusoid_period(self.amplitude, self.angular_frequency)
+
+def frequency_faults(frequency: float | None, angular_frequency: float | None) -> Iterator[Fault]:
+    """Yield a fault unless one of the keys frequency and angular_frequency is given."""
+    if frequency is not None and angular_frequency is not None:
+        yield redundant("angular_frequency", "frequency")
+    elif frequency is None and angular_frequency is None:
+        yield missing(("frequency",), "frequency of the oscillation [Hz]")
+
+
+def angular_frequency_of(frequency: float | None, angular_frequency: float | None) -> float:
+    """Angular frequency [rad/s] from the one of both that is given."""
+    if angular_frequency is not None:
+        return angular_frequency
+    assert frequency is not None
+    return 2.0 * math.pi * frequency
 
 
 TABLE_COLUMNS = {
@@ -926,7 +952,7 @@ class Servo(ForceControlledMotion):
         """See `TimedMotion`."""
         return None if self.pressure is None else "pressure"
 
-    def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
+    def controlled_speed(self, gravity_along: Callable[[Sequence[float]], float], distance: float) -> float:
         """`velocity_max`."""
         return self.velocity_max
 
@@ -1047,9 +1073,9 @@ class FreeWall(ForceControlledMotion):
     force: q.Force = Field(0.0, description="additional force along the direction [N]")
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
-    def controlled_speed(self, gravity: Sequence[float], distance: float) -> float:
+    def controlled_speed(self, gravity_along: Callable[[Sequence[float]], float], distance: float) -> float:
         """Speed of a free fall by the distance, with the given force."""
-        acceleration = abs(float(np.dot(gravity, self.direction))) + abs(self.force) / self.mass
+        acceleration = gravity_along(self.direction) + abs(self.force) / self.mass
         return float(np.sqrt(2.0 * acceleration * distance))
 
     def numbers(self, area: float, gravity: Sequence[float], layer: WallContacts, step: float) -> Numbers:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from granflow.scene.blocks.gravity import Gravity
 from granflow.scene.blocks.settings import StageSetting
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
@@ -55,8 +56,8 @@ class StageCondition(Model):
 class Stage(Model):
     """A part of the run that ends after a duration, on a quantity, or when the particles are at rest.
 
-    Walls and motions may be limited to stages. Particles can take other values of their properties at its
-    start.
+    Walls and motions may be limited to stages. Gravity can change, and particles can take other values of
+    their properties, at its start.
 
     >>> gf.Stage(name="settle", kinetic_energy_below="1 nJ", max_duration="2 s").max_duration
     2.0
@@ -95,6 +96,11 @@ class Stage(Model):
             "[beads]}: one setting, or a list, applied in its order"
         ),
         examples=[{"temperature": "800 K"}],
+    )
+    gravity: Gravity | None = optional(
+        "gravity from the start of this stage on [m/s2], a vector or what the key gravity of a scene accepts",
+        "that of the stage before",
+        examples=[[0, 0, -9.81]],
     )
 
     @property

@@ -5,9 +5,11 @@ file are not known yet. Physical parameters have no hidden defaults: a scene mus
 parameters have defaults, all in `RunSettings` and `Numerics`.
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
+import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr
 
 from granflow.contact import registry
@@ -15,6 +17,15 @@ from granflow.contact.law import SLOTS, ContactModel
 from granflow.contact.particle_equation import ParticleEquation
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.gravity import (
+    AnyGravity,
+    Gravity,
+    GravityCourse,
+    bound_of,
+    course_of,
+    motions_of,
+    vectors_of,
+)
 from granflow.scene.blocks.materials import Material, MaterialPair
 from granflow.scene.blocks.outlets import Outlet
 from granflow.scene.blocks.output import Expectation, Output
@@ -49,8 +60,12 @@ class SceneInput(Model):
             "factor of equipment lengths; particle counts scale with its cube, particle sizes do not change"
         ),
     )
-    gravity: q.AccelerationVector = Field(
-        description="gravity [m/s2], such as [0, 0, -9.81]", examples=[[0, 0, -9.81]]
+    gravity: Gravity = Field(
+        description=(
+            "gravity [m/s2], such as [0, 0, -9.81], or how it changes with time: {vector: [0, 0, -9.81], "
+            "motion: {kind: rotation, axis: [0, 1, 0], angular_velocity: 1 deg/s}}"
+        ),
+        examples=[[0, 0, -9.81], {"times": [0, "1 s"], "vectors": [[0, 0, 0], [0, 0, -9.81]]}],
     )
     materials: dict[Name, Material] = Field(description="materials by name")
     pairs: dict[PairName, MaterialPair] = Field(
@@ -125,6 +140,55 @@ class SceneInput(Model):
     def schedule(self) -> tuple[Stage, ...]:
         """The stages; for a scene without stages, one stage "run" of `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    @property
+    def gravities(self) -> tuple[AnyGravity, ...]:
+        """Gravity of the scene, and that of each stage that has its own."""
+        return (self.gravity, *(each.gravity for each in self.stages if each.gravity is not None))
+
+    @property
+    def gravity_changes(self) -> bool:
+        """Whether gravity can change during the run."""
+        return len(self.gravities) > 1 or bool(len(vectors_of(self.gravity)) > 1 or motions_of(self.gravity))
+
+    @property
+    def gravity_at_start(self) -> q.Vector3:
+        """Gravity [m/s2] at the start, without motions: the potential energy refers to it."""
+        return vectors_of(self.gravity)[0]
+
+    @property
+    def usual_gravity(self) -> q.Vector3:
+        """The largest gravity [m/s2] that the scene gives, without motions; the first one of the largest.
+
+        The vertical of estimates and metrics refers to it.
+        """
+        vectors = [vector for each in self.gravities for vector in vectors_of(each)]
+        return max(vectors, key=lambda each: float(np.linalg.norm(each)))
+
+    @property
+    def largest_gravity(self) -> float:
+        """Upper bound of the magnitude of gravity during the run [m/s2]."""
+        return max(bound_of(each, lambda g: float(np.linalg.norm(g)), 1.0) for each in self.gravities)
+
+    def gravity_along(self, direction: Sequence[float]) -> float:
+        """Upper bound of |g . d| during the run [m/s2], for a vector d (3,)."""
+        length = float(np.linalg.norm(direction))
+        return max(
+            bound_of(each, lambda g: abs(float(np.dot(g, direction))), length) for each in self.gravities
+        )
+
+    def drop_energy(self, size: np.ndarray) -> float:
+        """Upper bound of |gx| Lx + |gy| Ly + |gz| Lz during the run [m2/s2], for lengths L (3,) [m]."""
+        diagonal = float(np.linalg.norm(size))
+        return max(bound_of(each, lambda g: float(np.abs(g) @ size), diagonal) for each in self.gravities)
+
+    def gravity_course(self, stage_times: Mapping[str, tuple[float, float]]) -> GravityCourse:
+        """Gravity as it acts now, given start and end [s] of the stages that have begun."""
+        acting, since = self.gravity, 0.0
+        for stage in self.stages:
+            if stage.gravity is not None and stage.name in stage_times:
+                acting, since = stage.gravity, stage_times[stage.name][0]
+        return course_of(acting, since, stage_times)
 
     def end_of_stage(self, name: str) -> tuple[str, str]:
         """Key of the longest duration of a stage, such as stages.0.max_duration, and its source position."""

@@ -162,7 +162,7 @@ class _RunMeans:
     """
 
     def __init__(self, scene: Scene) -> None:
-        gravity = np.array(scene.gravity)
+        gravity = np.array(scene.usual_gravity)
         strength = float(np.linalg.norm(gravity))
         self._up = -gravity / strength if strength > 0.0 else np.array([0.0, 0.0, 1.0])
         corners = np.array([scene.domain.min, scene.domain.max]) * self._up

@@ -46,7 +46,7 @@ class BedHeights:
     @classmethod
     def of(cls, scene: Scene) -> "BedHeights":
         """Create the observer for a scene."""
-        gravity = np.array(scene.gravity, dtype=float)
+        gravity = np.array(scene.usual_gravity, dtype=float)
         strength = float(np.linalg.norm(gravity))
         return cls(-gravity / strength if strength > 0.0 else gravity)
 

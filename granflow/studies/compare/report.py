@@ -574,7 +574,7 @@ def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: flo
     The variants are shifted along the horizontal axis by the width of the domain plus a gap.
     """
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
-    up = -np.array(scene.gravity, dtype=float)
+    up = -np.array(scene.usual_gravity, dtype=float)
     vertical = int(np.argmax(np.abs(up))) if up.any() else 2
     horizontal = 0 if vertical != 0 else 1
     depth = 3 - vertical - horizontal
