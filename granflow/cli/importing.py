@@ -3,7 +3,7 @@
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,22 +29,20 @@ def import_(options: argparse.Namespace) -> int:
 
     out = options.out or Path(options.deck.name.removeprefix("in.").removesuffix(".in") + ".yaml")
     settings = dict(_setting(each) for each in options.settings)
-    name = out.name.removesuffix(out.suffix)
-    found = convert(options.deck, settings, options.code, name=name)
-    is_written = bool(found.texts) and (found.report.is_complete or options.partial)
-    scenes: list[Path] = []
+    found = convert(options.deck, settings, options.code)
+    is_written = bool(found.text) and (found.report.is_complete or options.partial)
     fault = ""
     if is_written:
-        scenes = write(out, found, options.overwrite)
-        fault = checked(scenes)
+        write(out, found, options.overwrite)
+        fault = checked(out)
         if UNSTABLE in fault:
             reason = fault[fault.index(UNSTABLE) :].partition(". ")[0]
-            found = convert(options.deck, settings, options.code, automatic_step=reason, name=name)
-            scenes = write(out, found, overwrite=True)
-            fault = checked(scenes)
+            found = convert(options.deck, settings, options.code, automatic_step=reason)
+            write(out, found, overwrite=True)
+            fault = checked(out)
     if options.json:
         content = {
-            "scenes": list(map(str, scenes)),
+            "scene": str(out) if is_written else None,
             "code": found.code,
             **found.report.to_dict(),
             "check": fault or None,
@@ -52,15 +50,15 @@ def import_(options: argparse.Namespace) -> int:
         say(json.dumps(content, indent=2))
     else:
         say(found.report.text())
-        for each in scenes:
-            say(f"Written to {each}")
+        if is_written:
+            say(f"Written to {out}")
     if fault:
         say(fault, file=sys.stderr)
         print_error(f"{out}: the scene does not pass granflow check.")
         return GranflowError.exit_code
     if found.report.is_complete:
         return 0
-    if not found.texts:
+    if not found.text:
         print_error("nothing was written, because the lines that are not possible leave no scene.")
     elif not options.partial:
         print_error("nothing was written, because some lines have no counterpart; --partial writes the rest.")
@@ -75,17 +73,10 @@ def _setting(text: str) -> tuple[str, str]:
     return name, value
 
 
-def write(out: Path, found: "Imported", overwrite: bool) -> list[Path]:
-    """Write the scenes and their files; return the paths of the scenes.
-
-    Raises GranflowError if a file exists with another content.
-    """
-    from granflow.importing.convert import scene_name
-
-    stem = out.name.removesuffix(out.suffix)
-    scenes = [out.with_name(scene_name(stem, k + 1) + out.suffix) for k in range(len(found.texts))]
+def write(out: Path, found: "Imported", overwrite: bool) -> None:
+    """Write the scene and its files. Raises GranflowError if a file exists with another content."""
     contents: Mapping[Path, bytes] = {
-        **{path: text.encode() for path, text in zip(scenes, found.texts, strict=True)},
+        out: found.text.encode(),
         **{out.parent / name: content for name, content in found.files.items()},
     }
     for path, content in contents.items():
@@ -94,27 +85,19 @@ def write(out: Path, found: "Imported", overwrite: bool) -> list[Path]:
     out.parent.mkdir(parents=True, exist_ok=True)
     for path, content in contents.items():
         path.write_bytes(content)
-    return scenes
 
 
-def checked(scenes: Sequence[Path]) -> str:
-    """Run `granflow check`; the problems as text, empty without one.
-
-    A scene that continues another one is checked without the particles of its run, which does not exist yet.
-    """
+def checked(out: Path) -> str:
+    """Run `granflow check`; the problems as text, empty without one."""
     from granflow.cli.run import check
 
-    for number, path in enumerate(scenes):
-        overrides = ["start_from=null"] if number else []
-        options = argparse.Namespace(
-            scene=path, overrides=overrides, mpi=False, allow_long=True, precision=None
-        )
-        try:
-            check(options)
-        except SceneError as error:
-            return "\n".join(error.problems)
-        except GranflowError as error:
-            return str(error)
+    options = argparse.Namespace(scene=out, overrides=[], mpi=False, allow_long=True, precision=None)
+    try:
+        check(options)
+    except SceneError as error:
+        return "\n".join(error.problems)
+    except GranflowError as error:
+        return str(error)
     return ""
 
 

@@ -17,7 +17,7 @@ from granflow.importing import (
     schedule,
     settings,
 )
-from granflow.importing.deck import UNITS, Deck, Fix, ParticleGroup, Translation, Words
+from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
 from granflow.importing.scene_text import Draft
@@ -35,12 +35,11 @@ SHAPES = {"sphere", "granular"}
 class Imported:
     """A translated script.
 
-    texts:  the scene; several if gravity changes, where each continues the one before; none if what is not
-            possible leaves no scene
+    text:   the scene; empty if what is not possible leaves no scene
     files:  files beside the scene by name
     """
 
-    texts: list[str]
+    text: str
     files: Mapping[str, bytes]
     report: Report
     code: str
@@ -161,12 +160,10 @@ def convert(
     given: Mapping[str, str] | None = None,
     code: str | None = None,
     automatic_step: str = "",
-    name: str = "",
 ) -> Imported:
     """Translate a script. Raises DeckError for an error of the script, with its line.
 
     given:           values of variables
-    name:            name of the scene file without its suffix
     automatic_step:  why the time step of the script is not taken; empty if it is
     """
     settings = dict(given or {})
@@ -203,64 +200,38 @@ def convert(
         if command.name == "clear":
             break
     try:
-        texts = _texts(deck, path, name or path.stem)
+        text = _text(deck, path)
     except GranflowError:
         if report.is_complete:
             raise
-        texts = []  # what is missing is probably one of the lines that are not possible
-    return Imported(texts, deck.family.get("files", {}), report, code, tuple(interpreter.printed))
+        text = ""  # what is missing is probably one of the lines that are not possible
+    return Imported(text, deck.family.get("files", {}), report, code, tuple(interpreter.printed))
 
 
-def _texts(deck: Deck, path: Path, name: str) -> list[str]:
-    """Build the blocks of each scene and write them."""
+def _text(deck: Deck, path: Path) -> str:
+    """Build the blocks of the scene and write them."""
     if not any(run.steps for run in deck.runs):
         raise GranflowError(f"{path}: the script has no run, so that there is nothing to simulate.")
     if deck.box is None:
         raise GranflowError(
             f"{path}: the script has no create_box or read_data, so that the box is not known."
         )
-    texts: list[str] = []
-    files: dict[str, bytes] = {}
-    earlier: list[ParticleGroup] = []
     code = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[deck.code]
-    for number, part in enumerate(schedule.parts_of(deck), 1):
-        part.particles = list(earlier)
-        draft = Draft(files=files)
-        draft.put(("title",), path.name if number == 1 else f"{path.name}, part {number}")
-        if number == 1:
-            insertion.add_points(part, draft)
-        else:
-            _continue(part, draft, scene_name(name, number - 1))
-        insertion.collect(part)
-        materials.build(part, draft)
-        geometry.build(part, draft)
-        insertion.build(part, draft)
-        schedule.build(part, draft)
-        heat.build(part, draft)
-        settings.build(part, draft)
-        materials.report_properties(part)
-        earlier = part.particles
-        title = f"granflow import from {path.name}, a script of {code}; comments have its lines."
-        texts.append(draft.text(f"Made by {title}"))
-    deck.family["files"] = files
-    return texts
-
-
-def scene_name(name: str, number: int) -> str:
-    """Name of the scene of a part, from 1."""
-    return name if number == 1 else f"{name}_{number}"
-
-
-def _continue(part: Deck, draft: Draft, before: str) -> None:
-    """Let a scene begin with the particles of the one before."""
-    remark = f"run {before}.yaml first; its output is read"
-    draft.put(("start_from",), f"out/{before}", remark=remark)
-    for fix in part.fixes_of("gravity"):
-        if fix.data and part.acting(fix):
-            fix.entry.approximated(
-                f"gravity is constant in a scene: a further one begins with the output of {before}.yaml, "
-                "without the history of its contacts"
-            )
+    draft = Draft()
+    draft.put(("title",), path.name)
+    insertion.add_points(deck, draft)
+    insertion.collect(deck)
+    materials.build(deck, draft)
+    geometry.build(deck, draft)
+    insertion.build(deck, draft)
+    schedule.build(deck, draft)
+    heat.build(deck, draft)
+    settings.build(deck, draft)
+    materials.report_properties(deck)
+    deck.family["files"] = draft.files
+    return draft.text(
+        f"Made by granflow import from {path.name}, a script of {code}; comments have its lines."
+    )
 
 
 __all__ = ["CODES", "DeckError", "Imported", "convert"]

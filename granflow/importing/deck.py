@@ -195,8 +195,6 @@ class Deck:
     all_fixes: list[Fix] = field(default_factory=list)
     computes: dict[str, Entry] = field(default_factory=dict)
     time: float = 0.0
-    origin: float = 0.0
-    """Time in the script [s] at which this part of it begins; times of runs and fixes count from there."""
     step: int = 0
     time_step: float | None = None
     time_step_entry: Entry | None = None

@@ -225,12 +225,6 @@ def mesh_motions(deck: Deck, draft: Draft, mesh: Fix, wall: str) -> list[dict[st
         if isinstance(each.data, Move) and each.data.mesh == mesh.name and deck.acting(each)
     ]
     moves = [each for each in moves if each.start >= mesh.start - 1e-12]
-    for fix in deck.fixes_of("move/mesh"):
-        if fix.start < -1e-12 and isinstance(fix.data, Move) and fix.data.mesh == mesh.name:
-            fix.entry.impossible(
-                f"mesh {mesh.name} has moved before gravity changes; the second scene begins without this",
-                "the position of the mesh in the second scene: rotate and translate of the wall",
-            )
     motions: list[dict[str, Any]] = []
     turns: list[Fix] = []
     for fix in moves:

@@ -301,7 +301,7 @@ def region_of(deck: Deck, command: Command, name: str) -> Region:
 def region_at(deck: Deck, name: str, time: float) -> Region | None:
     """The region that has a name at a time [s]: the newest that was defined until then."""
     regions: list[Region] = deck.own("all_regions", list)
-    slack = 1e-3 * (deck.time_step or 0.0) + deck.origin
+    slack = 1e-3 * (deck.time_step or 0.0)
     return next(
         (each for each in reversed(regions) if each.name == name and each.start <= time + slack), None
     )

@@ -4,7 +4,6 @@ The runs of the script become stages where something that acts changes between t
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import cos, hypot, radians, sin
 
 from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible, not_needed
@@ -90,7 +89,9 @@ def gravity(deck: Deck, fix: Fix) -> None:
     """fix ID group gravity MAGNITUDE vector X Y Z | chute ANGLE | spherical PHI THETA | gradient ..."""
     words = Words(deck, fix.entry.command, fix.words)
     if words.next.startswith("v_"):
-        fix.entry.impossible("gravity that changes with time", "one scene for each constant gravity")
+        fix.entry.impossible(
+            "gravity that changes with time", "gravity: {times: [..], vectors: [..]} of the scene"
+        )
         return
     magnitude = words.number("the magnitude of gravity", "acceleration")
     style = words.word("vector, chute or spherical")
@@ -216,9 +217,9 @@ def lost_in(deck: Deck) -> str:
 
 def build(deck: Deck, draft: Draft) -> None:
     """Write gravity, domain, damping, stages, run, numerics and output."""
-    _gravity(deck, draft)
     _domain(deck, draft)
     _stages(deck, draft)
+    _gravity(deck, draft)
     _damping(deck, draft)
     if deck.time_step is not None:
         steps = sorted({run.time_step for run in deck.runs if run.steps})
@@ -237,48 +238,29 @@ def build(deck: Deck, draft: Draft) -> None:
     _output(deck, draft)
 
 
-def parts_of(deck: Deck) -> list[Deck]:
-    """The deck, or a deck for each constant gravity; each later one continues the one before.
-
-    The times of a later part begin at 0; it has the groups of the parts before.
-    """
-    parts: list[list[Run]] = []
-    last: tuple[float, ...] | None = None
-    for run in deck.runs:
-        acting = [fix for fix in deck.fixes_of("gravity") if fix.data and run.steps and fix.acts_in(run)]
-        value = acting[-1].data if acting else last
-        if not parts or (run.steps and value != last and last is not None):
-            parts.append([])
-        parts[-1].append(run)
-        last = value if run.steps else last
-    return [deck] if len(parts) == 1 else [_part(deck, runs) for runs in parts]
-
-
-def _part(deck: Deck, runs: list[Run]) -> Deck:
-    """A deck with some runs only, whose times begin with them."""
-    origin = runs[0].start
-    fixes = [
-        replace(fix, start=fix.start - origin, end=None if fix.end is None else fix.end - origin)
-        for fix in deck.all_fixes
-    ]
-    own = [replace(run, start=run.start - origin, end=run.end - origin) for run in runs]
-    return replace(deck, runs=own, all_fixes=fixes, origin=origin)
+def gravity_in(deck: Deck, run: Run) -> tuple[float, ...]:
+    """Gravity [m/s2] in a run: that of the newest fix that acts; zero without one."""
+    acting = [fix.data for fix in deck.fixes_of("gravity") if fix.data and fix.acts_in(run)]
+    return acting[-1] if acting else (0.0, 0.0, 0.0)
 
 
 def _gravity(deck: Deck, draft: Draft) -> None:
+    """Gravity of the scene, and of the stages in which it is another one than before."""
     fixes = [fix for fix in deck.fixes_of("gravity") if fix.data and deck.acting(fix)]
-    if not fixes:
-        draft.put(("gravity",), [0, 0, 0], remark="the script has no fix gravity")
-        return
-    draft.put(("gravity",), [*fixes[0].data], fixes[0].entry)
-    for fix in fixes[1:]:
-        fix.entry.translated("gravity")
-    first = fixes[0]
-    missing = [run for run in deck.runs if run.steps and not any(fix.acts_in(run) for fix in fixes)]
-    if missing:
-        first.entry.approximated(
-            f"gravity acts all the time, also in the run of line {missing[0].entry.command.line}"
-        )
+    runs = [run for run in deck.runs if run.steps]
+    present = gravity_in(deck, runs[0])
+    entries = [fix.entry for fix in fixes if fix.acts_in(runs[0])]
+    absent = "" if entries else "the first run of the script has no fix gravity"
+    draft.put(("gravity",), [*present], *entries, remark=absent)
+    names = stage_names(deck)
+    for index, name in names.items():
+        value = gravity_in(deck, deck.runs[index])
+        if value != present:
+            next(each for each in draft.get("stages") if each["name"] == name)["gravity"] = [*value]
+            present = value
+    for fix in fixes:
+        if fix.entry not in entries:
+            fix.entry.translated("stages.NAME.gravity")
 
 
 def _domain(deck: Deck, draft: Draft) -> None:
@@ -325,13 +307,17 @@ def stage_names(deck: Deck) -> dict[int, str]:
         for time in (fix.start, fix.end)
         if time is not None
     }
-    changes |= {round(time - deck.origin, 12) for time in deck.own("changes", set)}
+    changes |= {round(time, 12) for time in deck.own("changes", set)}
     count = 0
+    before: tuple[float, ...] = ()
     for index, run in enumerate(deck.runs):
         if not run.steps:
             continue
-        if not names or any(abs(time - run.start) <= run.slack and run.start > 0 for time in changes):
+        present = gravity_in(deck, run)
+        is_changed = any(abs(time - run.start) <= run.slack and run.start > 0 for time in changes)
+        if not names or is_changed or present != before:
             count += 1
+        before = present
         names[index] = f"stage_{count}"
     return names if count > 1 else {}
 
@@ -425,7 +411,7 @@ _NEIGHBOR = "granflow chooses the neighbor list"
 
 COMMANDS: dict[str, Translation] = {
     "timestep": Translation(timestep, "run.time_step"),
-    "run": Translation(run, "run.duration, stages", "a new stage where walls, motions or damping change"),
+    "run": Translation(run, "run.duration, stages", "a new stage where walls, motions, damping, gravity change"),
     "unfix": Translation(unfix, "stages", "the end of what the fix does"),
     "reset_timestep": Translation(reset_timestep, "not needed", "granflow counts time"),
     "dump": Translation(dump, "output.interval, contacts", "the properties of a particle file are fixed"),
@@ -471,7 +457,7 @@ COMMANDS: dict[str, Translation] = {
 }  # fmt: skip
 
 FIXES: dict[str, Translation] = {
-    "gravity": Translation(gravity, "gravity", "one value for the whole run"),
+    "gravity": Translation(gravity, "gravity", "constant in each run; variables are refused"),
     "viscous": Translation(viscous, "damping.drag", "a rate: the coefficient over the mass"),
     "nve/sphere": not_needed("particles that are not fixed are integrated"),
     "nve": not_needed("particles that are not fixed are integrated"),

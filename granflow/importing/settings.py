@@ -262,10 +262,10 @@ def build(deck: Deck, draft: Draft) -> None:
         entry.translated(f"particles.NAME.{key}")
     runs = [run for run in deck.runs if run.steps]
     for each in settings:
-        time = each.time - deck.origin
+        time = each.time
         run = next((run for run in runs if abs(run.start - time) <= run.slack), None)
         if run is None:
-            if not deck.origin and not any(run.end > time for run in runs):
+            if not any(run.end > time for run in runs):
                 each.entry.not_needed("no run follows")
             continue
         if "heat" not in draft.blocks["contact"]:
@@ -283,7 +283,7 @@ def _of_heat(deck: Deck) -> list[Setting]:
     """The temperature that particles take when a fix heat/gran begins after the first run."""
     fixes = [each for each in deck.fixes_of(*HEAT) if isinstance(each.data, float) and deck.acting(each)]
     return [
-        Setting(fix.start + deck.origin, fix.entry, "temperature", f"{number(fix.data)} K", ({},))
+        Setting(fix.start, fix.entry, "temperature", f"{number(fix.data)} K", ({},))
         for fix in fixes[:1]
         if fix.start > 0.0
     ]

@@ -69,14 +69,14 @@ def imported(tmp_path, text):
     path = tmp_path / "in.deck"
     path.write_text(text)
     found = convert(path)
-    return found, yaml.safe_load(found.texts[0]) if found.texts else {}
+    return found, yaml.safe_load(found.text) if found.text else {}
 
 
 def checked(tmp_path, found):
     """The scene, written with its files and loaded."""
     for name, content in found.files.items():
         (tmp_path / name).write_bytes(content)
-    (tmp_path / "scene.yaml").write_text(found.texts[0])
+    (tmp_path / "scene.yaml").write_text(found.text)
     return gf.load_scene(tmp_path / "scene.yaml")
 
 

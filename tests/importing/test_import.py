@@ -72,7 +72,7 @@ def imported(tmp_path, text, **settings):
     path = tmp_path / "in.deck"
     path.write_text(text)
     found = convert(path, **settings)
-    return found, yaml.safe_load(found.texts[0]) if found.texts else {}
+    return found, yaml.safe_load(found.text) if found.text else {}
 
 
 def at(scene, path):
@@ -476,20 +476,24 @@ fix s all deform 1 xy erate 2 remap v"""
     assert remarks(found, "viscous")[0][0] == "not possible" and "damping" not in scene
 
 
-def test_gravity_that_changes_makes_a_second_scene(tmp_path):
-    found, _ = imported(tmp_path, liggghts(end="run 10\nfix g all gravity 5 vector 1 0 0\nrun 20"))
-    assert remarks(found, "vector 1 0 0")[0][0] == "approximated"
-    first, second = map(yaml.safe_load, found.texts)
-    assert (first["run"]["duration"], second["run"]["duration"]) == ("100 us", "200 us")
-    assert (first["gravity"], second["gravity"]) == ([0, 0, -9.81], [5, 0, 0])
-    assert second["start_from"] == "out/in" and second["particles"] == first["particles"]
+def test_gravity_that_changes_is_that_of_a_stage(tmp_path):
+    """Three runs: another gravity from the second one on, none in the third."""
+    text = "run 10\nfix g all gravity 5 vector 1 0 0\nrun 20\nrun 5\nunfix g\nrun 30"
+    found, scene = imported(tmp_path, liggghts(end=text))
+    assert remarks(found, "vector 1 0 0")[0] == ("translated", "stages.NAME.gravity")
+    assert scene["gravity"] == [0, 0, -9.81]
+    assert scene["stages"] == [
+        {"name": "stage_1", "duration": "100 us"},
+        {"name": "stage_2", "duration": "250 us", "gravity": [5, 0, 0]},
+        {"name": "stage_3", "duration": "300 us", "gravity": [0, 0, 0]},
+    ]
 
 
 def test_read_restart_is_refused_with_advice(tmp_path):
     found, _ = imported(
         tmp_path, "units si\nread_restart f\npair_style gran model hertz\ntimestep 1\nrun 1\n"
     )
-    assert found.texts == [] and "write_data" in remarks(found, "read_restart")[0][1]
+    assert found.text == "" and "write_data" in remarks(found, "read_restart")[0][1]
 
 
 STARTS = """variable speed equal 1+2
@@ -558,4 +562,4 @@ def test_guide(tmp_path):
     text = (Path(__file__).resolve().parents[2] / "docs/pages/guides/import.md").read_text(encoding="utf-8")
     blocks = dict(re.findall(r"^```\w+\n# (\S+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
     (tmp_path / "in.bed").write_text(f"# in.bed\n{blocks['in.bed']}")
-    assert convert(tmp_path / "in.bed").texts[0] == blocks["bed.yaml"]
+    assert convert(tmp_path / "in.bed").text == blocks["bed.yaml"]

@@ -150,7 +150,10 @@ class ChangingGravity(Model):
                 if getattr(self, key) is not None:
                     yield redundant(key, "vector")
         elif self.times is None or self.vectors is None:
-            yield whole((), "has neither a vector nor a table: give vector, such as [0, 0, -9.81], or times and vectors")
+            yield whole(
+                (),
+                "has neither a vector nor a table: give vector, such as [0, 0, -9.81], or times and vectors",
+            )
         else:
             yield from self._row_faults(self.times, self.vectors)
 
