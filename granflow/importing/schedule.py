@@ -411,7 +411,7 @@ _NEIGHBOR = "granflow chooses the neighbor list"
 
 COMMANDS: dict[str, Translation] = {
     "timestep": Translation(timestep, "run.time_step"),
-    "run": Translation(run, "run.duration, stages", "a new stage where walls, motions, damping, gravity change"),
+    "run": Translation(run, "run.duration, stages", "stages where walls, motions, damping, gravity change"),
     "unfix": Translation(unfix, "stages", "the end of what the fix does"),
     "reset_timestep": Translation(reset_timestep, "not needed", "granflow counts time"),
     "dump": Translation(dump, "output.interval, contacts", "the properties of a particle file are fixed"),
