@@ -234,30 +234,34 @@ STEPS_PER_PERIOD = 10
 
 
 def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: float) -> None:
-    """Raise SceneError for each vibration or rotation whose period is shorter than ten time steps [s].
+    """Raise SceneError for each periodic motion, of a wall or of gravity, with a period below ten time steps.
 
-    Rows of a table must be at least one time step apart. One SceneError names all such motions, each with the
-    largest permitted time step. `walls`: those of the scene in numeric form.
+    `time_step` [s]. Rows of a table must be at least one time step apart. One SceneError names all such
+    motions, each with the largest permitted time step. `walls`: those of the scene in numeric form.
     """
     problems = []
-    for wall in walls:
-        name = wall.name
-        for index, motion in enumerate(wall.motions):
-            key = f"walls.{name}.motion.{index}"
-            shortest = motion.shortest_row
-            if time_step > shortest * (1.0 + 1e-9):
-                problems.append(
-                    f"{scene.locate('walls', name, 'motion', index)}: {key} has rows that are {shortest:.3g} "
-                    f"s apart, less than the time step of {time_step:.3g} s. Give fewer rows, or set "
-                    f"run.time_step to {shortest:.2g} s or less."
-                )
-            period = motion.period
-            if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
-                problems.append(
-                    f"{scene.locate('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter "
-                    f"than {STEPS_PER_PERIOD} time steps of {time_step:.3g} s. Slow the motion down, or set "
-                    f"run.time_step to {period / STEPS_PER_PERIOD:.2g} s or less."
-                )
+    of_walls = (
+        (("walls", wall.name, "motion", index), motion)
+        for wall in walls
+        for index, motion in enumerate(wall.motions)
+    )
+    of_gravity = ((path, each.numeric((0.0, 0.0, 0.0))) for path, each in scene.gravity_motions())
+    for path, motion in (*of_walls, *of_gravity):
+        key = ".".join(map(str, path))
+        shortest = motion.shortest_row
+        if time_step > shortest * (1.0 + 1e-9):
+            problems.append(
+                f"{scene.locate(*path)}: {key} has rows that are {shortest:.3g} "
+                f"s apart, less than the time step of {time_step:.3g} s. Give fewer rows, or set "
+                f"run.time_step to {shortest:.2g} s or less."
+            )
+        period = motion.period
+        if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
+            problems.append(
+                f"{scene.locate(*path[:-1])}: {key} has a period of {period:.3g} s, shorter "
+                f"than {STEPS_PER_PERIOD} time steps of {time_step:.3g} s. Slow the motion down, or set "
+                f"run.time_step to {period / STEPS_PER_PERIOD:.2g} s or less."
+            )
     if problems:
         raise SceneError(problems)
 

@@ -32,10 +32,9 @@ from granflow.fields import (
 )
 from granflow.scene.blocks.contact import Contact
 from granflow.scene.blocks.domain import Domain
-from granflow.scene.blocks.gravity import AnyGravity, motions_of
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
-from granflow.scene.blocks.motions import MotionSpec, TimedMotion
+from granflow.scene.blocks.motions import MotionSpec
 from granflow.scene.blocks.particles import (
     TimedInsertion,
 )
@@ -568,7 +567,7 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
             reason = f"stages.{known.index(name)} has the same name; give each stage a different name"
             yield Fault(("stages", index, "name"), reason)
     named = [*_walls(parts.scene), *_motions(parts.scene), *_damping(parts.scene)]
-    for path, part in [*named, *_gravity_motions(parts.scene)]:
+    for path, part in [*named, *parts.scene.gravity_motions()]:
         for index, name in enumerate(part.stages or ()):
             location = (*path, "stages", index)
             if name not in known and parts.scene.stages:
@@ -636,16 +635,6 @@ def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
     """Each motion of a wall with its key path."""
     for path, wall in _walls(scene):
         yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))
-
-
-def _gravity_motions(scene: SceneInput) -> Iterator[tuple[KeyPath, TimedMotion]]:
-    """Each motion of gravity with its key path."""
-    places: list[tuple[KeyPath, AnyGravity]] = [(("gravity",), scene.gravity)]
-    for number, stage in enumerate(scene.stages):
-        if stage.gravity is not None:
-            places.append((("stages", number, "gravity"), stage.gravity))
-    for path, gravity in places:
-        yield from (((*path, "motion", index), each) for index, each in enumerate(motions_of(gravity)))
 
 
 def _damping(scene: SceneInput) -> Iterator[tuple[KeyPath, Damping]]:

@@ -238,6 +238,10 @@ def test_contacts_that_cannot_occur_cause_no_warning(tmp_path, overrides, pairs)
 
 AUTO = "run.velocity_max=null"
 NO_GRAVITY = "gravity=[0, 0, 0]"
+TABLE_OF_GRAVITY = (
+    "gravity={times: [0, 1], vectors: [[0, 0, 1], [0, 0, 5]],"
+    " motion: {kind: vibration, amplitude: [0, 0, -2], frequency: 5 Hz}}"
+)
 RISING = "walls.floor.motion={kind: translation, velocity: [0, 0, 2]}"
 
 
@@ -247,8 +251,16 @@ RISING = "walls.floor.motion={kind: translation, velocity: [0, 0, 2]}"
     ((AUTO, "particles.beads.velocity=[3, 4, 0]"), 10.0, "estimated from the speed of the fastest particle"),
     ((AUTO, NO_GRAVITY), 1.0, "assumed"),
     ((AUTO, NO_GRAVITY, RISING), 2.0, "estimated from the speed of the fastest wall, 2 m/s"),
+    ((AUTO, NO_GRAVITY, "stages=[{name: a, duration: 1, gravity: [3, 4, 0]}]", "run.duration=null"),
+     math.sqrt(2 * (3 + 4) * 0.04), "estimated from a free fall through the domain"),
+    ((AUTO, TABLE_OF_GRAVITY),
+     math.sqrt(2 * (5 + 2) * 0.04), "estimated from a free fall through the domain"),
+    ((AUTO, "gravity={vector: [0, 0, -5], motion: {kind: rotation, axis: [1, 1, 0], angular_velocity: 1}}"),
+     math.sqrt(2 * 5 * math.sqrt(3) * 0.04), "estimated from a free fall through the domain"),
 ])  # fmt: skip
 def test_max_impact_velocity_has_a_value_and_a_source(tmp_path, overrides, value, source):
+    """Free fall along the edges, v^2 = 2 (|gx| Lx + |gy| Ly + |gz| Lz), with the largest gravity of the run; along
+    the diagonal if gravity turns."""
     impact_velocity = max_impact_velocity(scene_of(tmp_path, *overrides))
     assert impact_velocity.value == pytest.approx(value)
     assert impact_velocity.source.startswith(source)
@@ -296,3 +308,9 @@ def test_a_period_of_a_motion_has_at_least_ten_steps(tmp_path, motion):
         message = r"walls.floor.motion.0 has a period of 0.0001 s, .* to 1e-05 s or less"
         with pytest.raises(SceneError, match=message):
             plan_for(scene)
+
+
+def test_a_period_of_gravity_has_at_least_ten_steps(tmp_path):
+    rocking = "gravity={vector: [0, 0, -9.81], motion: {kind: oscillation, axis: [1, 0, 0], amplitude: 1 deg, frequency: 10001}}"
+    with pytest.raises(SceneError, match=r"gravity.motion.0 has a period of 0.0001 s, .* to 1e-05 s or less"):
+        plan_for(scene_of(tmp_path, rocking, "run.time_step=1e-5", "run.velocity_max=1 m/s"))

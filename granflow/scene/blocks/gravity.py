@@ -234,7 +234,7 @@ class GravityCourse:
         for motion in self.motions:
             if isinstance(motion, GravityVibration):
                 found = found + motion.acceleration(times)
-            else:
+            elif isinstance(motion, SteadyRotation | RockingRotation):
                 turns = rotation_matrices(np.asarray(motion.axis), motion.angle_and_rate(times)[0])
                 found = np.einsum("kij,kj->ki", turns, found)
         return found

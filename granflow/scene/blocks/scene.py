@@ -5,7 +5,7 @@ file are not known yet. Physical parameters have no hidden defaults: a scene mus
 parameters have defaults, all in `RunSettings` and `Numerics`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -27,6 +27,7 @@ from granflow.scene.blocks.gravity import (
     vectors_of,
 )
 from granflow.scene.blocks.materials import Material, MaterialPair
+from granflow.scene.blocks.motions import TimedMotion
 from granflow.scene.blocks.outlets import Outlet
 from granflow.scene.blocks.output import Expectation, Output
 from granflow.scene.blocks.particles import Group
@@ -145,6 +146,14 @@ class SceneInput(Model):
     def gravities(self) -> tuple[AnyGravity, ...]:
         """Gravity of the scene, and that of each stage that has its own."""
         return (self.gravity, *(each.gravity for each in self.stages if each.gravity is not None))
+
+    def gravity_motions(self) -> Iterator[tuple[tuple[str | int, ...], TimedMotion]]:
+        """Each motion of gravity, also of stages, with its key path."""
+        places: list[tuple[tuple[str | int, ...], AnyGravity | None]] = [(("gravity",), self.gravity)]
+        places += [(("stages", number, "gravity"), each.gravity) for number, each in enumerate(self.stages)]
+        for path, gravity in places:
+            for index, motion in enumerate(() if gravity is None else motions_of(gravity)):
+                yield (*path, "motion", index), motion
 
     @property
     def gravity_changes(self) -> bool:
