@@ -438,10 +438,9 @@ class Engine:
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity, ranks)
         mobile = mobility_mask(arrays)
         mobile_count = float(ranks.total(np.array([mobile.sum()]))[0])
-        weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(
-            np.linalg.norm(present_gravity(self.state))
-        )
-        force = forces_with_weight(arrays, self._gravity)
+        gravity = present_gravity(self.state)
+        weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(np.linalg.norm(gravity))
+        force = forces_with_weight(arrays, gravity)
         net = [exact_sum(component * mobile, ranks) for component in force.T]
         unbalanced = float(np.linalg.norm(net)) / weight if weight else 0.0
         return RestState((kinetic + rotational) / max(mobile_count, 1.0), unbalanced)
