@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.metrics import ReposeMetric as ReposeMetric
     from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
     from granflow.scene.blocks.metrics import SlidingMetric as SlidingMetric
+    from granflow.scene.blocks.metrics import StressMetric as StressMetric
     from granflow.scene.blocks.motions import FreeWall as FreeWall
     from granflow.scene.blocks.motions import Oscillation as Oscillation
     from granflow.scene.blocks.motions import Rotation as Rotation
@@ -214,6 +215,7 @@ _LOCATIONS = {
     "StageCondition": "granflow.scene.blocks.run.StageCondition",
     "StageSetting": "granflow.scene.blocks.settings.StageSetting",
     "StopRun": "granflow.errors.StopRun",
+    "StressMetric": "granflow.scene.blocks.metrics.StressMetric",
     "SurfaceVelocity": "granflow.scene.blocks.motions.SurfaceVelocity",
     "TableMotion": "granflow.scene.blocks.motions.TableMotion",
     "Translation": "granflow.scene.blocks.motions.Translation",

@@ -14,6 +14,7 @@ from granflow.scene.blocks.metrics import (
     anisotropy,
     center_of_mass,
     coordination,
+    deviatoric_stress,
     dropped_share,
     fabric_tensor,
     granular_temperature,
@@ -23,7 +24,9 @@ from granflow.scene.blocks.metrics import (
     sliding_share,
     slope_of_cone,
     slope_of_plane,
+    stress_tensor,
 )
+from granflow.scene.blocks.primitives import Box
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
 
@@ -215,6 +218,54 @@ def test_fabric_of_known_directions():
     assert anisotropy(np.diag([0.5, 0.5, 0.0])) == pytest.approx(0.5)
 
 
+def lattice_contacts(spacing, count, forces):
+    """Contacts between neighbors of a cubic lattice; repulsive forces (3,) [N] along x, y and z."""
+    nodes = np.argwhere(np.ones((count,) * 3)).astype(float)
+    start, branch, force = [], [], []
+    for axis, step in enumerate(np.eye(3)):
+        inner = nodes[nodes[:, axis] < count - 1]
+        start.append(spacing * inner)
+        branch.append(np.broadcast_to(spacing * step, inner.shape))
+        force.append(np.broadcast_to(-forces[axis] * step, inner.shape))
+    begin, along = np.concatenate(start), np.concatenate(branch)
+    return {"position_i": begin, "position_j": begin + along, "force": np.concatenate(force)}
+
+
+def test_stress_of_a_lattice_and_of_a_gas():
+    """Each face of a cell of a lattice has one contact: s = -F / a^2 along each axis, in any box whose edges are
+    multiples of the spacing a. Two particles with opposite velocities u: s = -2 m u u / V."""
+    a = 0.01
+    contacts = lattice_contacts(a, 5, [2.0, 2.0, 5.0])
+    region = Box(min=[0.3 * a, 0.6 * a, 0.9 * a], max=[2.3 * a, 3.6 * a, 1.9 * a])
+    none = np.zeros(0), np.zeros((0, 3))
+    stress = stress_tensor(contacts, *none, region)
+    np.testing.assert_allclose(stress, -np.diag([2.0, 2.0, 5.0]) / a**2, rtol=1e-12, atol=1e-8)
+    assert deviatoric_stress(stress) == pytest.approx(3.0 / a**2)
+    cube = Box(min=[0.0] * 3, max=[a] * 3)
+    gas = stress_tensor(
+        {name: each[:0] for name, each in contacts.items()},
+        np.full(2, 3.0),
+        np.array([[1.0, 2.0, 0.0], [-1.0, -2.0, 0.0]]),
+        cube,
+    )
+    np.testing.assert_allclose(gas, -6.0 * np.array([[1, 2, 0], [2, 4, 0], [0, 0, 0]]) / a**3, rtol=1e-12)
+
+
+def test_shear_is_no_fluctuation_in_a_sheared_box():
+    """Particles that follow the profile of the shear exactly have no kinetic stress."""
+    shear = {"lees_edwards": {"flow": "x", "gradient": "z", "rate": 3.0}}
+    domain = {"min": [0.0] * 3, "max": [1.0] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"} | shear
+    groups = {"red": particle_group([[0.5, 0.5, 0.1]], 0.01), "blue": particle_group([[0.5, 0.5, 0.7]], 0.01)}
+    metrics = {"box": {"kind": "stress"}}
+    scene = build_scene(groups, domain=domain, output={"interval": 1.0, "metrics": metrics})
+    position = random_points(50)
+    velocity = np.array([1.0, 2.0, 3.0]) + np.outer(3.0 * position[:, 2], [1.0, 0.0, 0.0])
+    particles = particles_of(50, position=position, velocity=velocity, fixed=np.zeros(50, np.uint8))
+    meter = metric_meters(plan_for(scene))["box"]
+    meter.update(snapshot_of(particles=particles, contacts=contacts_of(0)))
+    assert meter.readings()["pressure"] == pytest.approx(0.0, abs=1e-10)
+
+
 def test_mechanical_coordination_number_excludes_rattlers():
     """Six particles with 0, 1, 4, 4, 5 and 6 contacts: Zm = (20 - 1) / 4."""
     contacts = np.array([0, 1, 4, 4, 5, 6])
@@ -278,6 +329,7 @@ def test_scene_metrics_are_reported_by_name():
     selections = {"groups": ["red"], "materials": ["glass"], "smaller_than": 0.015}
     scene = scene_with(
         **{name: {"kind": "lacey", "cell": 0.2, "region": region, name: of} for name, of in selections.items()},
+        stress={"kind": "stress"},
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
         half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
         center={"kind": "center_of_mass"}, red={"kind": "center_of_mass", "groups": ["red"]},
@@ -295,7 +347,8 @@ def test_scene_metrics_are_reported_by_name():
         meter.update(snapshot)
         assert list(meter.readings()) == [each.name for each in scene.output.metrics[metric].quantities]
         assert set(meter.result()) <= set(METRIC_QUANTITIES)
-        assert meter.wants == {"contacts" if metric in ("contacts", "sliding") else "particles"}
+        of_contacts = {"contacts": {"contacts"}, "sliding": {"contacts"}, "stress": {"particles", "contacts"}}
+        assert meter.wants == of_contacts.get(metric, {"particles"})
     meters = metric_meters(plan_for(scene))
     for meter in meters.values():
         meter.update(snapshot)

@@ -692,6 +692,123 @@ class FabricMetric(Metric):
         return Reading({"fabric_anisotropy": anisotropy(tensor)} | parts)
 
 
+# Stress
+
+
+def shares_inside(start: np.ndarray, branch: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Share (n,) of each segment from `start` (n, 3) along `branch` (n, 3) that is inside a box.
+
+    low, high: corners (3,) of the box; infinite along axes without limits
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([(low - start) / branch, (high - start) / branch])
+    parallel = branch == 0.0
+    inside = (start >= low) & (start <= high)
+    first = np.where(parallel, np.where(inside, -np.inf, np.inf), ends.min(axis=0)).max(axis=1)
+    last = np.where(parallel, np.where(inside, np.inf, -np.inf), ends.max(axis=0)).min(axis=1)
+    share: np.ndarray = np.maximum(np.minimum(last, 1.0) - np.maximum(first, 0.0), 0.0)
+    return share
+
+
+def stress_tensor(
+    contacts: Mapping[str, np.ndarray],
+    mass: np.ndarray,
+    fluctuation: np.ndarray,
+    region: Box,
+    whole: Collection[int] = (),
+) -> np.ndarray:
+    """Mean stress (3, 3) [Pa] in a box, positive in tension; its symmetric part.
+
+        s = (1/V) [sum over contacts of L f b - sum over particles of m u u]
+
+    f: force on particle i, b: branch vector to its partner or to the contact point on a wall, L: share of it
+    in the box, u: velocity fluctuation. (A. E. H. Love, A Treatise on the Mathematical Theory of Elasticity,
+    1927, Note B; M. Babic, Int. J. Eng. Sci. 35 (1997) 523.)
+
+    contacts:     position_i, position_j [m] and force [N] (n, 3)
+    mass:         (k,) [kg] of the particles in the box; fluctuation: (k, 3) [m/s]
+    whole:        axes along which the box is periodic, and contains everything
+    """
+    start = contacts["position_i"].astype(float)
+    branch = contacts["position_j"].astype(float) - start
+    low, high = np.array(region.min), np.array(region.max)
+    volume = float(np.prod(high - low))
+    for axis in whole:
+        low[axis], high[axis] = -np.inf, np.inf
+    share = shares_inside(start, branch, low, high)
+    static = np.einsum("n,na,nb->ab", share, contacts["force"].astype(float), branch)
+    kinetic = np.einsum("n,na,nb->ab", mass.astype(float), fluctuation, fluctuation)
+    found = (static - kinetic) / volume
+    return np.asarray(0.5 * (found + found.T))
+
+
+def deviatoric_stress(stress: np.ndarray) -> float:
+    """q = sqrt(3/2 s:s) with the deviator s of a stress (3, 3): in a triaxial test the difference of the axial
+    and the lateral stress."""
+    deviator = stress - np.trace(stress) / 3.0 * np.eye(3)
+    return float(np.sqrt(1.5 * (deviator**2).sum()))
+
+
+class StressMetric(Metric):
+    """Mean stress [Pa] in a box, of contact forces and of velocity fluctuations; positive in tension.
+
+    Fluctuations are relative to the mean velocity in the box; under Lees-Edwards shear to the linear profile
+    along the gradient that fits the velocities. Scenes with clumps have no such metric.
+
+    >>> gf.StressMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).kind
+    'stress'
+    """
+
+    kind: Literal["stress"] = Field("stress", description="kind of metric")
+    region: Box | None = optional("box in which the stress is evaluated", "the domain")
+    quantities = (
+        Quantity("pressure", "p", "Pa", "minus a third of the trace of the stress in a box"),
+        Quantity("deviatoric_stress", "q", "Pa", "sqrt(3/2 s:s) with the deviator s of the stress in a box"),
+        *(
+            Quantity(f"stress_{a}{b}", "", "Pa", f"{a}{b} component of the stress in a box, tension positive")
+            for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")
+        ),
+    )
+    wants = frozenset({PARTICLES, CONTACTS})
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`: no clumps; along periodic axes, the region covers the domain."""
+        for name, group in parts.scene.particles.items():
+            if group.shape.body is not None:
+                reason = f"particles.{name} are clumps, for which it is not implemented; remove this metric"
+                yield Fault(("kind",), reason)
+        domain = parts.scene.domain
+        for axis in domain.periodic if self.region is not None else ():
+            k = "xyz".index(axis)
+            if (self.region.min[k], self.region.max[k]) != (domain.min[k], domain.max[k]):
+                reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
+                yield whole(("region",), f"must extend from {reach} in {axis}, where the domain is periodic")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; fixed particles have no kinetic part."""
+        domain = scene.domain
+        region = self.region or Box(min=domain.min, max=domain.max)
+        particles = mobile_particles(snapshot.particles)
+        inside = selected(particles, _inside(particles["position"], region))
+        mass = inside["mass"].astype(float)
+        velocity = inside["velocity"].astype(float)
+        fluctuation = velocity - (mass @ velocity / mass.sum() if len(mass) else 0.0)
+        if domain.lees_edwards is not None and len(mass):
+            flow, gradient = ("xyz".index(getattr(domain.lees_edwards, key)) for key in ("flow", "gradient"))
+            height = inside["position"][:, gradient].astype(float)
+            height = height - mass @ height / mass.sum()
+            spread = mass @ height**2
+            slope = (mass * height) @ velocity[:, flow] / spread if spread > 0.0 else 0.0
+            fluctuation[:, flow] -= slope * height
+        periodic = ["xyz".index(axis) for axis in domain.periodic]
+        stress = stress_tensor(snapshot.contacts or {}, mass, fluctuation, region, periodic)
+        found = {"pressure": -float(np.trace(stress)) / 3.0, "deviatoric_stress": deviatoric_stress(stress)}
+        for each in self.quantities[2:]:
+            row, column = ("xyz".index(axis) for axis in each.name.removeprefix("stress_"))
+            found[each.name] = float(stress[row, column])
+        return Reading(found)
+
+
 # Contacts per particle
 
 
@@ -966,6 +1083,7 @@ AnyMetric = Annotated[
     | ReposeMetric
     | HeightMetric
     | FabricMetric
+    | StressMetric
     | CoordinationMetric
     | ContentMetric
     | CenterOfMassMetric
