@@ -743,8 +743,10 @@ def stress_tensor(
 
 
 def deviatoric_stress(stress: np.ndarray) -> float:
-    """q = sqrt(3/2 s:s) with the deviator s of a stress (3, 3): in a triaxial test the difference of the axial
-    and the lateral stress."""
+    """q = sqrt(3/2 s:s) with the deviator s of a stress (3, 3).
+
+    In a triaxial test it is the difference of the axial and the lateral stress.
+    """
     deviator = stress - np.trace(stress) / 3.0 * np.eye(3)
     return float(np.sqrt(1.5 * (deviator**2).sum()))
 
