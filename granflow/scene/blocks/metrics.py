@@ -779,8 +779,10 @@ class StressMetric(Metric):
             if group.shape.body is not None:
                 reason = f"particles.{name} are clumps, for which it is not implemented; remove this metric"
                 yield Fault(("kind",), reason)
+        if self.region is None:
+            return
         domain = parts.scene.domain
-        for axis in domain.periodic if self.region is not None else ():
+        for axis in domain.periodic:
             k = "xyz".index(axis)
             if (self.region.min[k], self.region.max[k]) != (domain.min[k], domain.max[k]):
                 reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
