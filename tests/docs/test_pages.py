@@ -118,13 +118,17 @@ def test_python_guide_works_as_written(tmp_path):
     assert "stopped at" in done.stdout and (tmp_path / "out" / "beads" / "result.json").exists()
 
 
-STUDY_FILES = {"sweep.yaml": read_sweep, "calibration.yaml": read_calibration}
+STUDY_FILES = {
+    "sweep.yaml": read_sweep,
+    "restitution.yaml": read_sweep,
+    "calibration.yaml": read_calibration,
+}
 """Reader of each file in the guides that is not a scene; raises SceneError for an invalid file."""
 
 
 def test_sweep_and_calibration_of_the_guide_are_valid(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("flat_silo.yaml", "angle_of_repose.yaml"):
+    for name in ("flat_silo.yaml", "angle_of_repose.yaml", "two_spheres.yaml"):
         shutil.copy(ROOT / "scenes" / name, tmp_path)
     Path("flow.csv").write_text("time,value\n0.0,0.0\n1.0,0.1\n")
     found = {
