@@ -474,10 +474,11 @@ def add_stability(verbs: Any) -> None:
 def sweep(options: argparse.Namespace) -> int:
     """`granflow sweep`: carry out the runs of a sweep that have not ended, and write tables and a page.
 
-    Returns 0 if all runs are done and meet their expectations, 1 otherwise, and 130 or 143 after a stop
-    signal; the same command then continues the sweep.
+    Returns 0 if all runs are done and meet their expectations, and all yield loci of the key `evaluate`
+    exist, 1 otherwise, and 130 or 143 after a stop signal; the same command then continues the sweep.
     """
     from granflow.studies.sweep import SweepStopped, read_sweep, run_sweep
+    from granflow.studies.yield_locus import remarks_of, shown_table
 
     study = read_sweep(options.file)
     out = options.out or Path("out") / study.name
@@ -509,6 +510,11 @@ def sweep(options: argparse.Namespace) -> int:
             f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: "
             f"{warned[0].warnings}"
         )
+    if table.loci:
+        heads, rows, _ = shown_table(table.loci)
+        show_table("yield loci", heads, rows)
+        for remark in remarks_of(table.loci):
+            say(remark)
     say(f"Written to {out / 'sweep.csv'}; open {out / 'sweep.html'} in a browser.")
     return 0 if table.is_complete else 1
 

@@ -8,7 +8,7 @@ that determines its result.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,12 +71,14 @@ def checked_run(
     read: Mapping[str, str],
     common: RunSettings,
     seed_offset: int = 0,
+    problems_in: Callable[[Scene], Iterable[str]] = lambda _: (),
 ) -> CheckedRun:
     """Check a run of the scene in a file with other values of some keys, by key path.
 
     `read`: numbers of the result that are needed, and the position of each in its file; `seed_offset`: added
-    to the seed of the scene. Raises SceneError if the scene with these values is invalid, FileError if it has
-    no such number or needs particles of a program.
+    to the seed of the scene; `problems_in`: other problems of the scene for the study. Raises SceneError if
+    the scene with these values is invalid, FileError if it has no such number, other problems, or needs
+    particles of a program.
     """
     overrides = overrides_of(settings)
     scene = load_scene(path, overrides)
@@ -88,6 +90,7 @@ def checked_run(
         for name, position in read.items()
         if (reason := unknown_quantity(name, scene))
     ]
+    problems += problems_in(scene)
     problems += scene.problems_without_program()
     if problems:
         raise FileError(problems)

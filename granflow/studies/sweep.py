@@ -2,17 +2,21 @@
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import Any
 
+from granflow import Scene
 from granflow.arguments import path_of, whole_number
 from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.lock import locked
 from granflow.scene.reader import validated_source
+from granflow.schema.faults import Fault
+from granflow.schema.messages import problem_at
 from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated
 from granflow.studies.figures import require_pandas
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
@@ -20,6 +24,7 @@ from granflow.studies.run_process import Outcome, naming_write_errors
 from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points
 from granflow.studies.sweep_page import write_sweep_page
 from granflow.studies.sweep_table import SweepTable, run_texts, shown, table_of, write_tables
+from granflow.studies.yield_locus import ShearTest, evaluate, faults_in, write_loci
 
 # Runs a sweep: checks all points, carries out the missing runs, and writes tables and page.
 
@@ -43,7 +48,8 @@ class SweepStopped(GranflowError):
 class SweepFile:
     """A valid sweep: its content, the scene file, its name, and positions in the sweep file.
 
-    `positions`: of each varied or set key of the scene; `read`: of each number that is read.
+    `positions`: of each varied or set key of the scene; `read`: of each number that is read; `problem`:
+    message of a fault, with its position.
     """
 
     content: SweepInput
@@ -51,6 +57,7 @@ class SweepFile:
     name: str
     positions: Mapping[str, str] = field(default_factory=dict)
     read: Mapping[str, str] = field(default_factory=dict)
+    problem: Callable[[Fault], Any] = str
 
 
 def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
@@ -71,7 +78,7 @@ def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
             content.keys_of(parameter), str(document.key_position(("vary", parameter)))
         )
     read = {each: str(document.value_position(("read", k))) for k, each in enumerate(content.read)}
-    return SweepFile(content, scene, name, positions, read)
+    return SweepFile(content, scene, name, positions, read, partial(problem_at, document))
 
 
 def checked_points(
@@ -109,11 +116,20 @@ def checked_points(
 def _checked(sweep: SweepFile, point: DesignPoint, common: RunSettings, seed_offset: int) -> CheckedRun | str:
     """A checked run, or the reason why it is refused."""
     try:
-        return checked_run(sweep.scene, point.settings, sweep.read, common, seed_offset)
+        return checked_run(
+            sweep.scene, point.settings, sweep.read, common, seed_offset, partial(_evaluation_problems, sweep)
+        )
     except SceneError as error:
         return " ".join(relocated(error, sweep.positions).problems)
     except GranflowError as error:
         return str(error)
+
+
+def _evaluation_problems(sweep: SweepFile, scene: Scene) -> Iterator[str]:
+    """Why the evaluation of the sweep cannot use a run of a scene."""
+    if sweep.content.evaluate is not None:
+        for fault in faults_in(sweep.content.evaluate, scene):
+            yield str(sweep.problem(replace(fault, path=("evaluate", *fault.path))))
 
 
 def runs_of(points: Points) -> list[CheckedRun]:
@@ -136,7 +152,8 @@ def run_sweep(
     report: Report = lambda *_: None,
     announce: Callable[[str], None] = lambda _: None,
 ) -> SweepTable:
-    """Carry out the runs of a sweep that have not ended, and write `sweep.csv`, `runs.csv` and `sweep.html`.
+    """Carry out the runs of a sweep that have not ended, and write `sweep.csv`, `runs.csv` and `sweep.html`,
+    and the files of the evaluation of all runs, if there is one.
 
     `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress of the
     runs, `announce` lines before them. Raises GranflowError if the sweep or the workers are not valid, or if
@@ -159,8 +176,23 @@ def run_sweep(
             finally:
                 table = table_of(*names, points, driver.outcomes)
                 write_tables(out, table)
-        write_sweep_page(out, sweep.content, table)
+        if sweep.content.evaluate is None:
+            write_sweep_page(out, sweep.content, table)
+            return table
+        table = replace(table, loci=tuple(evaluate(sweep.content.evaluate, shear_tests(table))))
+        figures = write_loci(out, sweep.content.evaluate, table.loci)
+        write_sweep_page(out, sweep.content, table, figures)
         return table
+
+
+def shear_tests(table: SweepTable) -> list[ShearTest]:
+    """The runs of a sweep that have reached their end."""
+    return [
+        ShearTest(row.point.values, each.run.seed, each.run.directory)
+        for row in table.rows
+        for each in row.runs
+        if each.run is not None and each.outcome.has_numbers
+    ]
 
 
 @dataclass(frozen=True)

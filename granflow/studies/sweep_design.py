@@ -5,7 +5,7 @@ import math
 import operator
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 from itertools import product
@@ -22,6 +22,7 @@ from granflow.schema.faults import Fault, missing, whole
 from granflow.schema.model import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
 from granflow.schema.quantities import GivenQuantity, Number, bound_faults
 from granflow.studies.checked_run import si_value
+from granflow.studies.yield_locus import YieldLocusEvaluation
 from granflow.units import in_si, mixed_units
 
 # Schema of sweep files.
@@ -237,6 +238,9 @@ class SweepInput(Model):
     read: Annotated[tuple[Text, ...], ListOf(one=True, some="[mass_flow.outlet]")] = Field(
         description="numbers of the result to read, as in the expect block of a scene"
     )
+    evaluate: YieldLocusEvaluation | None = Field(
+        None, description="evaluation of all runs together: yield loci and flow functions of shear tests"
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield faults between the parts: counts that are missing or have no effect, keys given twice."""
@@ -259,6 +263,9 @@ class SweepInput(Model):
                 )
         yield from self._formula_faults()
         yield from self._repeated_keys()
+        if self.evaluate is not None:
+            for fault in self.evaluate.faults_of_parameters(tuple(self.vary)):
+                yield replace(fault, path=("evaluate", *fault.path))
         if self.run_count > MOST_RUNS:
             path = ("vary",) if gridded else ("sampling", "count")
             yield whole(

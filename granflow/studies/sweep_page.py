@@ -3,6 +3,7 @@
 `write_sweep_page` puts the parts together; the functions below return them in the order of the page.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 from math import floor, inf, log10
@@ -13,7 +14,7 @@ import numpy as np
 
 from granflow.io.files import write_text
 from granflow.io.tables import read_series
-from granflow.studies.figures import COLORS, PageTable, without_empty_ends
+from granflow.studies.figures import COLORS, Drawing, PageTable, without_empty_ends
 from granflow.studies.interactive_plots import (
     Plot,
     escaped,
@@ -23,9 +24,10 @@ from granflow.studies.interactive_plots import (
     shown_unit,
     thinned,
 )
-from granflow.studies.page import page_text
+from granflow.studies.page import SCREEN_WIDTH, page_text
 from granflow.studies.sweep_design import Grid, SobolSampling, SweepInput
 from granflow.studies.sweep_table import ShownTable, SweepTable, shown
+from granflow.studies.yield_locus import remarks_of, shown_table
 
 PAGE = "sweep.html"
 NO_LIBRARY = (
@@ -34,8 +36,13 @@ NO_LIBRARY = (
 )
 
 
-def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:
-    """Write `sweep.html` to the directory of the sweep; without plotly, it has tables only."""
+def write_sweep_page(
+    out: Path, sweep: SweepInput, table: SweepTable, figures: Mapping[str, Drawing] | None = None
+) -> None:
+    """Write `sweep.html` to the directory of the sweep; without plotly, it has tables only.
+
+    `figures`: images of the evaluation in this directory, by file name.
+    """
     script = express_library()
     found = shown(sweep, table)
     drawn = replace(found, in_plots=True)
@@ -48,6 +55,10 @@ def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:
         title=sweep.title or f"Sweep of {Path(sweep.scene).stem}",
         lead=sweep.description or f"{len(table.rows)} points of {sweep.scene}.",
         statuses=_statuses(table),
+        folder=out,
+        figures={name: SCREEN_WIDTH * each.width for name, each in (figures or {}).items()},
+        loci=shown_table(table.loci),
+        locus_remarks=remarks_of(table.loci),
         no_library="" if script else NO_LIBRARY,
         effects=[main_effects(drawn, points, each) for each in drawn.quantities] if has_plots else [],
         heat_maps=heat_maps(drawn, points) if has_plots and isinstance(sweep.sampling, Grid) else [],

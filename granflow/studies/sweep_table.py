@@ -29,6 +29,7 @@ from granflow.studies.run_process import (
     worst,
 )
 from granflow.studies.sweep_design import DesignPoint, SweepInput, ValueList, ValueRange
+from granflow.studies.yield_locus import Locus
 from granflow.units import common_unit, in_unit
 
 # Rows and tables
@@ -99,17 +100,19 @@ STANDARD_ERROR = "standard_error"
 
 @dataclass(frozen=True)
 class SweepTable:
-    """All points of a sweep with their runs; `parameters`, `quantities`: names of the columns."""
+    """All points of a sweep with their runs; `parameters`, `quantities`: names of the columns; `loci`: of an
+    evaluation to yield loci."""
 
     parameters: tuple[str, ...]
     quantities: tuple[str, ...]
     seed_count: int
     rows: tuple[PointRow, ...]
+    loci: tuple[Locus, ...] = ()
 
     @property
     def is_complete(self) -> bool:
-        """Whether all runs are done and meet the expectations of their scenes."""
-        return all(row.outcome.status == DONE for row in self.rows)
+        """Whether all runs are done and meet the expectations of their scenes, and all yield loci exist."""
+        return all(row.outcome.status == DONE for row in self.rows) and all(each.line for each in self.loci)
 
     def columns(self) -> dict[str, list[Any]]:
         """Columns of `sweep.csv`: parameters, status, reason, warnings, seconds, quantities, run directories.
