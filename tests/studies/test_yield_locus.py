@@ -280,10 +280,9 @@ SMALL = (
     ("count: 900", "count: 60"),
     ("16 mm", "8.5 mm"),
     ("17.5 mm", "10 mm"),
-    ("duration: 80 ms", "duration: 50 ms"),
-    ("duration: 0.3 s", "duration: 30 ms"),
-    ("duration: 10 ms", "duration: 3 ms"),
-    ("duration: 40 ms", "duration: 15 ms"),
+    ("duration: 55 ms", "duration: 50 ms"),
+    ("duration: 0.13 s", "duration: 15 ms"),
+    ("duration: 16 ms", "duration: 8 ms"),
 )
 """Changes of the shipped scene: 92 particles, and short stages."""
 
