@@ -233,8 +233,9 @@ def test_plane_across_the_axis_that_is_not_periodic_has_the_area_of_the_section(
     assert plan.controlled_motions[0].force == pytest.approx(5e3 * 0.1 * 0.04)
     with pytest.raises(SceneError, match="pressure is 5000.0, but a plane is infinite and has no area"):
         Scene.from_dict(scene("x").to_dict())
-    inclined = scene("x", lid=lid | {"normal": [0, 1, -1], "motion": []})
-    assert plan_for(inclined).measured_areas == {"lid": None}
+    for normal in ([0, 1, -1], [0, -1, 0]):
+        other = lid | {"point": [0, 0.04, 0.09], "normal": normal, "motion": []}
+        assert plan_for(scene("x", lid=other)).measured_areas == {"lid": None}
 
 
 def test_packing_does_not_overlap_periodic_images():
