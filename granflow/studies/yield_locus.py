@@ -651,7 +651,9 @@ def _named(values: Mapping[str, Any], state: str = "") -> str:
 
 
 def figures_of(evaluation: YieldLocusEvaluation, loci: Sequence[Locus]) -> dict[str, Drawing]:
-    """The sigma-tau diagram with all yield loci, and the flow functions if there are any."""
+    """The sigma-tau diagram with all yield loci, and the flow functions, if there are any."""
+    if not any(isfinite(point.normal) for locus in loci for point in locus.points):
+        return {}
     found = {"yield_loci.png": Drawing(lambda figure: _draw_loci(figure, loci), 1.3 * HEIGHT)}
     if functions := flow_functions(evaluation, loci):
         found["flow_function.png"] = Drawing(lambda figure: _draw_functions(figure, functions), HEIGHT)
@@ -698,7 +700,8 @@ def _draw_loci(figure: Any, loci: Sequence[Locus]) -> None:
             sigma / KILO, tau / KILO, color=color, marker="s", markersize=4.5, linestyle="none",
             label=_named(locus.values).rstrip(": ") or None,
         )  # fmt: skip
-        right, top = max(right, sigma), max(top, tau)
+        points = [(point.normal, point.shear) for point in locus.points] + [locus.preshear]
+        right, top = (float(each) for each in np.nanmax([*points, (right, top)], axis=0))
         line = locus.line
         if line is None:
             continue
