@@ -32,7 +32,7 @@ from granflow.scene.blocks.motions import Servo, Translation
 from granflow.schema.faults import Fault, KeyPath
 from granflow.schema.messages import unknown
 from granflow.schema.model import Model, Name, Text
-from granflow.studies.figures import COLORS, MARKERS, Drawing, PageTable, write_figures
+from granflow.studies.figures import COLORS, FULL_WIDTH, MARKERS, Drawing, PageTable, write_figures
 
 # Keys
 
@@ -591,6 +591,8 @@ KILO = 1e3
 """Pascal in a kilopascal: figures and shown tables have kPa."""
 HEIGHT = 3.2
 """Height of a figure [inch]."""
+LEGEND_COLUMNS = 3
+"""Columns of the legend above the yield loci."""
 
 
 def shown_table(loci: Sequence[Locus]) -> PageTable:
@@ -654,7 +656,7 @@ def figures_of(evaluation: YieldLocusEvaluation, loci: Sequence[Locus]) -> dict[
     """The sigma-tau diagram with all yield loci, and the flow functions, if there are any."""
     if not any(isfinite(point.normal) for locus in loci for point in locus.points):
         return {}
-    found = {"yield_loci.png": Drawing(lambda figure: _draw_loci(figure, loci), 1.3 * HEIGHT)}
+    found = {"yield_loci.png": Drawing(lambda figure: _draw_loci(figure, loci), HEIGHT, FULL_WIDTH)}
     if functions := flow_functions(evaluation, loci):
         found["flow_function.png"] = Drawing(lambda figure: _draw_functions(figure, functions), HEIGHT)
     return found
@@ -718,7 +720,7 @@ def _draw_loci(figure: Any, loci: Sequence[Locus]) -> None:
     axes.set_ylim(0.0, 1.1 * top / KILO)
     axes.set_aspect("equal")
     if any(locus.values for locus in loci):
-        axes.legend(title="preshear", loc="upper left")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=LEGEND_COLUMNS)
 
 
 def _draw_functions(figure: Any, functions: Mapping[str, tuple[np.ndarray, ...]]) -> None:
