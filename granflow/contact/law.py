@@ -103,6 +103,7 @@ class Flow:
     meaning:            description in a few words
     from_walls:         what has flowed from a wall since the start, a number of each wall with a key of
                         `wall_properties`
+    rate_from_walls:    what flows from a wall now, a number of the same walls
     from_surroundings:  what has flowed from the surroundings since the start, a total of a scene whose model
                         has some
     source:             what can be added to the sum of each particle
@@ -111,6 +112,7 @@ class Flow:
     unit: str
     meaning: str
     from_walls: Quantity | None = None
+    rate_from_walls: Quantity | None = None
     from_surroundings: Quantity | None = None
     source: "Source | None" = None
 
@@ -202,9 +204,9 @@ class Law(DeviceObject):
         """Numbers of the scene that are the same for all pairs, in SI units, by their names in `constants`.
 
         The names depend on the features of the model only, so that laws that differ in numbers share compiled
-        kernels.
+        kernels. By default the range of a model that acts at a distance, which the engine reads.
         """
-        return {}
+        return {"range": self.range} if self.at_distance else {}
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names` for a pair of materials; by default its properties of the same names.
@@ -213,15 +215,28 @@ class Law(DeviceObject):
         """
         return tuple(pair.properties[name] for name in self.constant_names)
 
-    # What flows through contacts of surfaces that touch, in addition to forces
+    @property
+    def at_distance(self) -> bool:
+        """Whether the model acts without overlap, as a liquid bridge; models of cohesion and of flows can."""
+        return False
+
+    @property
+    def range(self) -> float:
+        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires
+        overlap."""
+        return 0.0
+
+    # What flows through contacts, in addition to forces: of surfaces that touch, and of those within the
+    # range of a model that acts at a distance
 
     @ti.func
     def flow(self, constants, contact, first, partner):
         """Struct of the flows from the partner to the first particle, by the names of `flows`.
 
         contact:         as of a normal model, before its force is evaluated: without history and force; with
-                         the `contact_radius` [m] of the models
-        first, partner:  structs of `particle_properties`
+                         the `contact_radius` [m] of the models. For a model that acts at a distance, the
+                         overlap of separated surfaces is minus their distance, and the contact radius is 0
+        first, partner:  structs of the radius [m] and `particle_properties`
 
         If both are exchanged, each flow changes its sign to the last bit: then sums are conserved.
         """
@@ -799,8 +814,8 @@ class CohesionLaw(Law):
     """A cohesion model: an attraction in addition to any normal model, and optionally a viscous force.
 
     It does not press the surfaces together. `force` and `viscous_force` have no branch, as for a normal
-    model. A model that acts at a distance also gets negative overlaps, down to minus its `range`; its first
-    history field is above 0 as long as the contact keeps its history without overlap.
+    model. A model that acts at a distance (`at_distance`) also gets negative overlaps, down to minus its
+    `range`; its first history field is above 0 as long as the contact keeps its history without overlap.
 
     A model that defines `viscous_force` also defines `resistance`, which limits the time step, and
     `reference_viscous_force`. The particles then rotate; what the force dissipates is a term of the energy
@@ -815,21 +830,8 @@ class CohesionLaw(Law):
         "force": ("number", "history"),
         "viscous_force": ("number", "vector"),
     }
-    at_distance: ClassVar[bool] = False
-    """True for a model that acts without overlap, such as a liquid bridge."""
     transfers_liquid: ClassVar[bool] = False
     """True for a model whose bridges take liquid from films on the particles, see `form`."""
-
-    @property
-    def range(self) -> float:
-        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires
-        overlap."""
-        return 0.0
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """The range of a model that acts at a distance; the engine reads it on the device."""
-        return {"range": self.range} if self.at_distance else {}
 
     @ti.func
     def force(self, constants, contact, history):
@@ -910,6 +912,7 @@ class HeatLaw(Law):
             "W",
             "heat that flows to the particle through its contacts",
             Quantity("wall_heat", "", "J", "heat that the wall has given to the particles since the start"),
+            Quantity("wall_heat_flow", "", "W", "heat that flows from the wall to the particles"),
             Quantity(
                 "surroundings_heat",
                 "",

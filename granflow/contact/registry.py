@@ -19,6 +19,7 @@ from granflow.contact.law import (
     SLOTS,
     CohesionLaw,
     ContactModel,
+    Flow,
     HistoryField,
     Law,
     NormalLaw,
@@ -49,8 +50,7 @@ def add(model: ContactModel) -> None:
         raise ValueError(f"contact model {getattr(model.law, 'name', model.law.__name__)}: {problem}")
     for name, each in model.law.flows.items():
         fields.add(flow_field(name, each.unit, each.meaning))
-        if each.from_walls is not None:
-            fields.WALL_FLOW_QUANTITIES[each.from_walls.name] = each.from_walls
+        fields.WALL_FLOW_QUANTITIES.update(_of_walls(each))
         if each.from_surroundings is not None:
             fields.add_total(each.from_surroundings)
         if each.source is not None:
@@ -66,13 +66,18 @@ def remove(model: ContactModel) -> None:
     for name in set(model.law.flows) - others:
         fields.remove(name)
         flow = model.law.flows[name]
-        if flow.from_walls is not None:
-            del fields.WALL_FLOW_QUANTITIES[flow.from_walls.name]
+        for quantity in _of_walls(flow):
+            del fields.WALL_FLOW_QUANTITIES[quantity]
         if flow.from_surroundings is not None:
             fields.remove_total(flow.from_surroundings)
         if flow.source is not None:
             fields.remove(flow.source.name)
             fields.remove_total(flow.source.total)
+
+
+def _of_walls(flow: Flow) -> dict[str, Quantity]:
+    """Numbers of walls of a flow by name."""
+    return {each.name: each for each in (flow.from_walls, flow.rate_from_walls) if each is not None}
 
 
 def models(slot: str) -> Mapping[str, ContactModel]:
@@ -364,6 +369,12 @@ class ContactLaws:
         return {name: each for name, each in found.items() if each is not None}
 
     @property
+    def rates_from_walls(self) -> Mapping[str, Quantity]:
+        """Of these, the flows whose rate is a number of each wall, with its quantity."""
+        found = {name: each.rate_from_walls for law in self.laws for name, each in law.flows.items()}
+        return {name: each for name, each in found.items() if each is not None}
+
+    @property
     def wall_properties(self) -> tuple[str, ...]:
         """Keys of walls that the laws read, each once."""
         return tuple(dict.fromkeys(key for law in self.laws for key in law.wall_properties.model_fields))
@@ -381,7 +392,17 @@ class ContactLaws:
     @property
     def acts_at_distance(self) -> bool:
         """Whether a model acts without overlap."""
+        return any(law.at_distance for law in self.laws)
+
+    @property
+    def cohesion_at_distance(self) -> bool:
+        """Whether the cohesion model acts without overlap."""
         return self.cohesion is not None and self.cohesion.at_distance
+
+    @property
+    def flows_at_distance(self) -> bool:
+        """Whether something flows between separated surfaces."""
+        return any(law.at_distance for law in self.laws if law.flows)
 
     @property
     def transfers_liquid(self) -> bool:
@@ -396,7 +417,7 @@ class ContactLaws:
     @property
     def range(self) -> float:
         """Largest distance [m] between two surfaces at which a model acts."""
-        return self.cohesion.range if self.cohesion is not None else 0.0
+        return max(law.range for law in self.laws)
 
     @property
     def attracts(self) -> bool:

@@ -26,6 +26,7 @@ from granflow.engine.pair import (
     Pair,
     PairForce,
     member,
+    normal_contact,
     normal_time_step,
     sphere_bodies,
     sphere_kinematics,
@@ -75,6 +76,7 @@ class BatchedContacts:
         self.films = state.built(LiquidFilms) if self.liquid else None
         self.has_flows = len(plan.laws.flows) > 0
         self.flows = state.built(Flows) if self.has_flows else None
+        self.flows_at_distance = plan.laws.flows_at_distance
         self.list_shares = build_list_shares(state)
         self.to_grid = build_to_grid(state.backend.real)
         self.loss_count = len(LOSSES)
@@ -124,7 +126,10 @@ class BatchedContacts:
             entry += ti.cast(is_contact, ti.i32)
             radius_min = ti.select(radius < radius_partner, radius, radius_partner)
             self._check_overlap(i, distance_squared, contact_distance, overlap_ratio * radius_min)
-            if ti.static(self.laws.acts_at_distance):
+            if ti.static(self.flows_at_distance):
+                if not is_contact:
+                    self._add_flows(chunk, i, j, branch, pose, dt)
+            if ti.static(self.laws.cohesion_at_distance):
                 if not is_contact:
                     self._add_separated(worker, chunk, i, j, list_index, branch, first, end, pose, dt)
             elif ti.static(self.has_history):
@@ -146,6 +151,14 @@ class BatchedContacts:
         self.histories.add_plastic_loss(chunk, j, energy_lost)
         if ti.static(self.has_flows):
             self.flows.add_loss(chunk, i, j, energy_lost, False)
+
+    @ti.func
+    def _add_flows(self, chunk, i, j, branch, pose, dt):
+        """What flows between the surfaces of a pair without overlap."""
+        time_step = normal_time_step(dt, self.longest_time_step())
+        kinematics = self.pair.separated(i, j, branch, pose)
+        contact = normal_contact(self.pair.bodies(i, j), kinematics, time_step)
+        self.flows.add(chunk, i, j, self.pair.constants(i, j), contact, False)
 
     @ti.func
     def _add_separated(self, worker, chunk, i, j, list_index, branch, first, end, pose, dt):

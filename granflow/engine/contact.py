@@ -70,6 +70,7 @@ class Contact:
         self.films = state.built(LiquidFilms) if self.liquid else None
         self.has_flows = len(plan.laws.flows) > 0
         self.flows = state.built(Flows) if self.has_flows else None
+        self.flows_at_distance = plan.laws.flows_at_distance
         self.wears = with_wall and plan.features.wear
         self.wear = state.built(FaceWear) if self.wears else None
         self.longest_time_step = state.parameter("longest_time_step")
@@ -82,7 +83,8 @@ class Contact:
 
         Three cases: the pair overlaps; a cohesion model acts between the separated surfaces; or there is no
         contact, and a contact that has existed so far ends. Its history is then cleared, unless another face
-        of the walls has the contact now, and its plastic work is added to the losses.
+        of the walls has the contact now, and its plastic work is added to the losses. Flows between separated
+        surfaces do not depend on these cases.
         """
         force = 0.0 * self.particles.velocity[i]
         torque = 0.0 * self.particles.velocity[i]
@@ -113,11 +115,12 @@ class Contact:
             if ti.static(self.wears):
                 self.wear.add(i, j, kinematics, angular_velocities, force, dt)
             if ti.static(self.has_flows):
-                touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))
-                self.flows.add(chunk, i, j, constants, touching, self.with_wall)
+                if ti.static(not self.flows_at_distance):
+                    touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))
+                    self.flows.add(chunk, i, j, constants, touching, self.with_wall)
                 self._add_loss_heat(chunk, i, j, found, dt)
         elif self.pair.in_range(i, j, kinematics.overlap):
-            if ti.static(self.laws.acts_at_distance):
+            if ti.static(self.laws.cohesion_at_distance):
                 if ti.static(self.transfers):
                     self.transfer.acquire(i, list_index, j, pose)
                 found = self.distant_force(chunk, i, list_index, j, kinematics, pose, dt)
@@ -134,6 +137,9 @@ class Contact:
                     self.films.return_liquid(chunk, i, j, list_index)
                 energy_lost = self.histories.end(list_index, constants, bodies, dt)
             self._add_plastic_loss(chunk, i, j, energy_lost)
+        if ti.static(self.flows_at_distance):
+            near = normal_contact(bodies, kinematics, normal_time_step(dt, self.longest_time_step()))
+            self.flows.add(chunk, i, j, constants, near, self.with_wall)
         return force, torque
 
     @ti.func

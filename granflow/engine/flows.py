@@ -22,9 +22,10 @@ from granflow.plan.sum_units import CARRY_BITS, SUM_BITS
 class Flows:
     """The sums of the flows, and the particle equations.
 
-    The force phase clears the sums and adds each contact with an overlap. The integration takes one explicit
-    step of the equations with them. What flows from walls is summed over the run: the force phase adds what
-    will flow in the next step, which is ahead of the particles until then.
+    The force phase clears the sums and adds each contact with an overlap, and each pair within the range of a
+    model that acts at a distance. The integration takes one explicit step of the equations with them. What
+    flows from walls is summed over the run: the force phase adds what will flow in the next step, which is
+    ahead of the particles until then.
     """
 
     def __init__(self, state: State) -> None:
@@ -36,9 +37,10 @@ class Flows:
         self.one_material = state.plan.features.one_material
         self.several_materials = len(state.plan.materials) > 1
         laws = state.plan.laws
+        self.at_distance = laws.flows_at_distance
         self.sums = [(field, state.parameter(f"per_unit.{name}")) for name, field in self._fields(laws.flows)]
         self.laws = [
-            (slot, law, self._fields(law.particle_properties), self._sums_of(law.flows))
+            (slot, law, self._fields(("radius", *law.particle_properties)), self._sums_of(law.flows))
             for slot, law in laws.by_slot.items()
             if law.flows
         ]
@@ -47,6 +49,7 @@ class Flows:
         self.wall_of = state.built(Faces).wall_of
         self.wall_flows = state.control.wall_flows
         self.wall_flows_ahead = state.control.wall_flows_ahead
+        self.flow_time_step = state.control.flow_time_step
         self.wall_sums = [
             (k, state.parameter(f"per_unit.wall.{name}")) for k, name in enumerate(state.plan.wall_flows)
         ]
@@ -109,8 +112,11 @@ class Flows:
         time_step:  as of a normal model [s]
 
         Reads:   radius, material, properties that the laws read
-        Writes:  the sums, wall_flows, wall_flows_ahead
+        Writes:  the sums, wall_flows, wall_flows_ahead, flow_time_step
         """
+        if ti.static(self.sums_walls):
+            if i == 0:
+                self.flow_time_step[0] = ti.cast(time_step, ti.f64)
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
         for k, source, field, shift in ti.static(self.sources):
@@ -152,36 +158,71 @@ class Flows:
     def add(self, chunk, i, j, constants, contact, with_wall: ti.template()):
         """Add the flows of a contact to particle i, and to partner j if it is in the same chunk.
 
-        constants, contact:  of all slots; as of a normal model
+        constants, contact:  of all slots; as of a normal model, without overlap only for models that act at a
+                             distance
 
         Reads:   properties that the laws read
         Writes:  the sums
         """
-        begin = chunk * self.chunk_size()
+        contact_radius = 0.0 * contact.overlap
+        if ti.static(not self.at_distance):
+            contact_radius = self.radius_law.contact_radius(member(constants, self.radius_slot), contact)
+        elif contact.overlap > 0.0:
+            contact_radius = self.radius_law.contact_radius(member(constants, self.radius_slot), contact)
         touching = ti.Struct(
             radius_eff=contact.radius_eff,
             mass_eff=contact.mass_eff,
             time_step=contact.time_step,
             overlap=contact.overlap,
             overlap_rate=contact.overlap_rate,
-            contact_radius=self.radius_law.contact_radius(member(constants, self.radius_slot), contact),
+            contact_radius=contact_radius,
         )
         for slot, law, read, sums in ti.static(self.laws):
-            first = ti.Struct({name: field[i] for name, field in ti.static(read)})
-            partner = first
-            if ti.static(not with_wall):
-                partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
-            flows = law.flow(member(constants, slot), touching, first, partner)
-            if ti.static(with_wall):
-                flows = law.wall_flow(member(constants, slot), touching, first, self._wall(self.wall_of(j)))
-            for name, field, shift in ti.static(sums):
-                flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
-                field[i] = field[i] + flow
-                if ti.static(with_wall and name in self.wall_term):
-                    given = ti.cast(contact.time_step, ti.f64) * flow
-                    self._add_to_wall(chunk, self.wall_of(j), self.wall_term[name], given, True)
-                if j >= begin and j < begin + self.chunk_size():
-                    field[j] = field[j] - flow
+            if ti.static(not self.at_distance):
+                self._add_of_law(chunk, i, j, member(constants, slot), touching, law, read, sums, with_wall)
+            else:
+                reach = 0.0 * contact.overlap
+                if ti.static(law.at_distance):
+                    reach = member(constants, slot).range
+                if contact.overlap > -reach:
+                    self._add_of_law(
+                        chunk, i, j, member(constants, slot), touching, law, read, sums, with_wall
+                    )
+
+    @ti.func
+    def _add_of_law(
+        self,
+        chunk,
+        i,
+        j,
+        constants,
+        contact,
+        law: ti.template(),
+        read: ti.template(),
+        sums: ti.template(),
+        with_wall: ti.template(),
+    ):
+        """Add the flows of one law, with the fields that it reads and those of its sums."""
+        begin = chunk * self.chunk_size()
+        flows = self._flows_of(i, j, constants, contact, law, read, with_wall)
+        for name, field, shift in ti.static(sums):
+            flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
+            field[i] = field[i] + flow
+            if ti.static(with_wall and name in self.wall_term):
+                given = ti.cast(contact.time_step, ti.f64) * flow
+                self._add_to_wall(chunk, self.wall_of(j), self.wall_term[name], given, True)
+            if j >= begin and j < begin + self.chunk_size():
+                field[j] = field[j] - flow
+
+    @ti.func
+    def _flows_of(
+        self, i, j, constants, contact, law: ti.template(), read: ti.template(), with_wall: ti.template()
+    ):
+        first = ti.Struct({name: field[i] for name, field in ti.static(read)})
+        if ti.static(with_wall):
+            return law.wall_flow(constants, contact, first, self._wall(self.wall_of(j)))
+        partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
+        return law.flow(constants, contact, first, partner)
 
     @ti.func
     def add_loss(self, chunk, i, j, energy, with_wall: ti.template()):
@@ -318,12 +359,15 @@ def build_withdraw(state: State) -> Any:
 
 def wall_flow_totals(state: State) -> dict[str, float]:
     """Integral of each flow since the start, of each wall that gives it, QUANTITY.WALL, of the surroundings
-    and of sources."""
+    and of sources; and the present rates of walls."""
     plan = state.plan
     if not plan.wall_flows:
         return {}
     control = state.control
-    sums = state.ranks.total(control.wall_flows.to_numpy() - control.wall_flows_ahead.to_numpy())
+    words_ahead = control.wall_flows_ahead.to_numpy()
+    sums = state.ranks.total(control.wall_flows.to_numpy() - words_ahead)
+    sums_ahead = state.ranks.total(words_ahead)
+    time_step = state.ranks.largest(float(control.flow_time_step[0]))
     units = np.array(list(plan.wall_flow_units.values()))
     found = {}
     for index, wall in enumerate(plan.walls):
@@ -332,6 +376,11 @@ def wall_flow_totals(state: State) -> dict[str, float]:
         totals = exact_totals(sums[:, index], units).tolist()
         for flow, total in zip(plan.wall_flows, totals, strict=True):
             found[f"{plan.laws.flows_from_walls[flow].name}.{wall.name}"] = total
+        ahead = exact_totals(sums_ahead[:, index], units).tolist()
+        for flow, amount in zip(plan.wall_flows, ahead, strict=True):
+            if flow in plan.laws.rates_from_walls:
+                rate = amount / time_step if time_step > 0.0 else 0.0
+                found[f"{plan.laws.rates_from_walls[flow].name}.{wall.name}"] = rate
     if plan.laws.of_surroundings is not None:
         totals = exact_totals(sums[:, state.capacities.walls], units).tolist()
         _, law = plan.laws.of_surroundings

@@ -84,7 +84,7 @@ class ContactHistory:
         energy = self.normal_loss(list_index, constants, bodies, dt)
         if ti.static("cohesion" in self.names):
             overlap = 0.0 * bodies.radius_eff
-            if ti.static(self.laws.acts_at_distance):
+            if ti.static(self.laws.cohesion_at_distance):
                 overlap = -constants.cohesion.range
             contact = cohesive_contact(bodies, overlap, dt)
             energy += self.laws.cohesion.lost_energy(
@@ -103,7 +103,7 @@ class ContactHistory:
         nothing = 0.0 * bodies.radius_eff
         if ti.static("normal" in self.names):
             has_overlapped = True
-            if ti.static(self.laws.acts_at_distance):
+            if ti.static(self.laws.cohesion_at_distance):
                 has_overlapped = ti.abs(self.stored["normal"][list_index]).max() > 0.0
             if has_overlapped:
                 contact = ti.Struct(
@@ -167,7 +167,7 @@ class HistoryTransfer:
         self.stored = state.neighbors.history
         self.names = list(self.stored)
         self.geometry = state.built(WallGeometry)
-        self.acts_at_distance = state.plan.laws.acts_at_distance
+        self.cohesion_at_distance = state.plan.laws.cohesion_at_distance
         self.pair = state.built(Pair, True)
 
     @ti.func
@@ -180,7 +180,7 @@ class HistoryTransfer:
         released = 0
         if self.neighbors.in_contact[list_index] == IN_CONTACT:
             largest_distance = self.particles.radius[i]
-            if ti.static(self.acts_at_distance):
+            if ti.static(self.cohesion_at_distance):
                 largest_distance += self.pair.constants(i, j).cohesion.range
             if self.geometry.from_nearest(-1 - j, pose, self.particles.position[i]).norm() < largest_distance:
                 self.neighbors.in_contact[list_index] = RELEASED

@@ -54,6 +54,7 @@ class Pair:
         self.with_wall = with_wall
         self.has_walls = plan.features.walls
         self.acts_at_distance = plan.laws.acts_at_distance
+        self.cohesion_at_distance = plan.laws.cohesion_at_distance
         self.real = state.backend.real
         self.kinematics = self._wall_kinematics if with_wall else self._particle_kinematics
         self.overlap_ratio = 1.0 - ROUNDING[state.backend.real]
@@ -150,7 +151,7 @@ class Pair:
         gap, direction = self.joined_walls.contact(i, j, pose)
         found = no_contact(ti.cast(radius - gap, self.real), self.particles.velocity[i])
         found.arm = radius - 0.5 * found.overlap
-        if ti.static(self.acts_at_distance):
+        if ti.static(self.cohesion_at_distance):
             found.normal = ti.cast(direction, self.real)
         if ti.static(self.features.viscous_cohesion):
             if self.in_range(i, j, found.overlap):
@@ -255,7 +256,7 @@ class Pair:
     def in_range(self, i, j, overlap):
         """Whether the cohesion model acts at this overlap [m], which may be negative."""
         found = overlap > 0.0
-        if ti.static(self.acts_at_distance):
+        if ti.static(self.cohesion_at_distance):
             found = overlap > -self.constants(i, j).cohesion.range
         return found
 

@@ -619,6 +619,7 @@ class Control(Fields):
     wall_flows:                 time integrals of the flows of walls, and in the last places of the
                                 surroundings and of sources, see `engine.flows`
     wall_flows_ahead:           part of them that belongs to the next step
+    flow_time_step:             time step [s] of this part
     wear:                       worn volume and works of each worn face, see `engine.wear`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
     losses_ahead:               part of the terms `sum_units.terms_ahead` of each chunk that belongs to the

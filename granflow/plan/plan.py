@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from granflow.contact.law import Source
+from granflow.contact.law import FlowCase, Source
 from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import ParticleEquation
 from granflow.contact.registry import ContactLaws
@@ -528,14 +528,15 @@ class Plan:
     @cached_property
     def flow_units(self) -> dict[str, float]:
         """Units of the sums that contact models declare, see `sum_units.flow_units`."""
-        return flow_units(
-            self.laws,
-            self.pair_cases,
-            self.scene.numerics.intended_overlap,
-            self.value_ranges,
-            self.wall_value_ranges,
-            {flow: self._largest_source(source.name) for flow, source in self.sources.items()},
-        )
+        overlap = self.scene.numerics.intended_overlap * self.radius_max
+        materials = {group.material for group in self.scene.particles.values()}
+        cases = [
+            FlowCase(pair, self.radius_max, overlap, self.value_ranges, self.wall_value_ranges)
+            for (first, _), pair in self.pair_materials.items()
+            if first in materials
+        ]
+        sources = {flow: self._largest_source(source.name) for flow, source in self.sources.items()}
+        return flow_units(self.laws, cases, sources)
 
     @cached_property
     def sources(self) -> dict[str, Source]:

@@ -163,32 +163,17 @@ def _power_of_two(value: float) -> float:
 
 
 def flow_units(
-    laws: ContactLaws,
-    pair_cases: Sequence[PairCase],
-    max_overlap: float,
-    values: Mapping[str, tuple[float, float]],
-    wall_values: Mapping[str, tuple[float, float]],
-    sources: Mapping[str, float],
+    laws: ContactLaws, cases: Sequence[FlowCase], sources: Mapping[str, float]
 ) -> dict[str, float]:
     """Unit of each sum of `laws.flows`, a power of two: the largest flow of a contact, or of a source, over
     2^FORCE_BITS.
 
-    values, wall_values:  as of `FlowCase`
-    sources:              largest magnitude of a source of each flow that has one
+    cases:    largest contacts of each two materials
+    sources:  largest magnitude of a source of each flow that has one
     """
     found = {}
     for name in laws.flows:
-        bounds = [
-            law.flow_bounds(
-                name,
-                FlowCase(
-                    case.pair, case.overlap_radius, max_overlap * case.overlap_radius, values, wall_values
-                ),
-            )[0]
-            for law in laws.laws
-            if name in law.flows
-            for case in pair_cases
-        ]
+        bounds = [law.flow_bounds(name, case)[0] for law in laws.laws if name in law.flows for case in cases]
         found[name] = _power_of_two(max(*bounds, sources.get(name, 0.0), TINY)) / 2.0**FORCE_BITS
     return found
 

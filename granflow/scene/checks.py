@@ -494,8 +494,12 @@ def wear_materials(parts: PartialScene) -> Iterator[Fault]:
 
 
 def heat_options(parts: PartialScene) -> Iterator[Fault]:
-    """The losses of contacts are known with the energy budget only; radiation requires emissivities."""
+    """The losses of contacts are known with the energy budget only; radiation requires emissivities; gas
+    conducts less than the solids."""
     scene = parts.scene
+    gas = getattr(scene.contact.options("heat"), "gas", None)
+    if gas is not None:
+        yield from _gas_faults(scene, gas)
     if getattr(scene.contact.options("heat"), "surroundings", None) is not None:
         for name in dict.fromkeys(group.material for group in scene.particles.values()):
             if name in scene.materials and scene.materials[name].emissivity is None:  # type: ignore[attr-defined]
@@ -504,6 +508,26 @@ def heat_options(parts: PartialScene) -> Iterator[Fault]:
     if getattr(scene.contact.options("heat"), "from_dissipation", False) and not scene.output.energy_budget:
         reason = "it needs the losses of the energy budget; set output.energy_budget to true as well"
         yield Fault(("contact", "heat", "from_dissipation"), reason)
+
+
+def _gas_faults(scene: Any, gas: Any) -> Iterator[Fault]:
+    """Solids that conduct too little for the gas between them."""
+    used = {group.material for group in scene.particles.values()}
+    used |= {wall.material for wall in scene.walls.values() if getattr(wall, "temperature", None) is not None}
+    for name in [each for each in scene.materials if each in used]:
+        conductivity = getattr(scene.materials[name], "thermal_conductivity", None)
+        if conductivity is not None and gas.conductivity > LARGEST_GAS_SHARE * conductivity:
+            reason = (
+                f"it must be at most {LARGEST_GAS_SHARE:g} of materials.{name}.thermal_conductivity, "
+                f"{conductivity:g} W/m/K: the paths of the heat are those of a gas that conducts less than "
+                "the solid"
+            )
+            yield Fault(("contact", "heat", "gas", "conductivity"), reason)
+
+
+LARGEST_GAS_SHARE = 0.9
+"""Largest conductivity of the gas over that of a solid; the closed form of paths through both divides by the
+difference."""
 
 
 def material_values(parts: PartialScene) -> Iterator[Fault]:

@@ -175,7 +175,8 @@ def conducting() -> Scene:
     """The poured bed with temperatures, of which one wall has one and wears, and another one a heat flux."""
     thermal = {"thermal_conductivity": 50.0, "heat_capacity": 0.5, "emissivity": 0.9}
     contact: dict[str, Any] = {"normal": "zhou", "tangential": "mindlin", "rolling": "epsd"}
-    contact["heat"] = {"law": "conduction", "from_dissipation": True, "surroundings": 280.0}
+    gas = {"conductivity": 0.05, "min_gap": 1e-5}
+    contact["heat"] = {"law": "conduction", "from_dissipation": True, "surroundings": 280.0, "gas": gas}
     scene = complex_scene(
         0.009,
         of_groups={"temperature": 300.0},
@@ -286,6 +287,7 @@ QUICK = {
             "source_heat",
             "heat_content_set",
             "wall_heat.floor",
+            "wall_heat_flow.floor",
             "wear_volume.floor",
         ),
     ),

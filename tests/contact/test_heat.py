@@ -166,6 +166,11 @@ def test_lines_of_spheres_conduct_as_the_closed_forms_say():
     assert totals["temperature_mean"] == pytest.approx(np.average(found, weights=capacities), rel=1e-13)
     of_walls = {name: value for name, value in totals.items() if name.startswith("wall_heat.")}
     assert set(of_walls) == {f"wall_heat.plate_{line}" for line in ("0_left", "0_right", "2_left", "3_right")}
+    of_walls_now = {name: value for name, value in totals.items() if name.startswith("wall_heat_flow.")}
+    assert of_walls_now["wall_heat_flow.plate_3_right"] == pytest.approx(FLUX * np.pi * RADIUS**2, rel=1e-9)
+    assert of_walls_now["wall_heat_flow.plate_2_left"] == pytest.approx(
+        2.0 * conductance * (HOT - found[-2]), rel=1e-9
+    )
     gained = totals["heat_content"] - start["heat_content"]
     assert gained == pytest.approx(sum(of_walls.values()), rel=1e-9)
     assert of_walls["wall_heat.plate_3_right"] == pytest.approx(FLUX * np.pi * RADIUS**2 * time, rel=1e-9)
@@ -376,9 +381,10 @@ def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
     hard = SimpleNamespace(**{**vars(soft), "true_young_modulus": 2e11, "thermal_conductivity": 10.0})
     pair = PairMaterial(modulus_eff(soft, soft), 1.0, 0.5, 0.0, materials=(soft, hard))
     true = 1.0 / ((1.0 - 0.09) / 1e7 + (1.0 - 0.09) / 2e11)
-    (found,) = Conduction().pair_constants(pair)
+    found, overlap_ratio, *_ = Conduction().pair_constants(pair)
     assert found == pytest.approx(2.0 * (2.0 * 500.0 / 60.0) * (0.5e7 / (1.0 - 0.09) / true) ** (1.0 / 3.0))
     assert 0.79 < found / (2000.0 / 60.0) < 0.8
+    assert overlap_ratio == pytest.approx((0.5e7 / (1.0 - 0.09) / true) ** (2.0 / 3.0))
 
 
 def test_a_source_requires_heat():
@@ -456,6 +462,9 @@ CASES = [
      "heat to particles"),
     (set_key("contact", "heat", value={"law": "conduction", "surroundings": 300}), "materials.other.emissivity is "
      "missing: emissivity of the surface, in [0, 1], with contact.heat.surroundings"),
+    (set_key("contact", "heat", value={"law": "conduction", "gas": {"conductivity": 0.95, "min_gap": 1e-6}}),
+     "contact.heat.gas.conductivity is 0.95, but it must be at most 0.9 of "
+     "materials.sphere.thermal_conductivity, 1 W/m/K"),
     (set_key("materials", "sphere", "emissivity", value=1.5), "materials.sphere.emissivity is 1.5, but an "
      "emissivity must"),
     (set_key("contact", "heat", value={"law": "conduction", "from_dissipation": True}),

@@ -28,7 +28,10 @@ class BondLaw(CohesionLaw):
     bond_range: float
     energy_budget: bool
 
-    at_distance = True
+    @property
+    def at_distance(self) -> bool:
+        """A bond holds separated surfaces."""
+        return True
 
     @property
     def range(self) -> float:

@@ -61,7 +61,6 @@ class CapillaryTransfer(CohesionLaw):
     constant_names = ("tension", "rupture_factor")
     """Surface tension times cosine of the contact angle [N/m], rupture distance over the cube root of the
     volume."""
-    at_distance = True
     transfers_liquid = True
 
     @classmethod
@@ -75,6 +74,11 @@ class CapillaryTransfer(CohesionLaw):
             request.energy_budget,
             Lubrication.of(request.options.viscous_force),
         )
+
+    @property
+    def at_distance(self) -> bool:
+        """A bridge holds separated surfaces."""
+        return True
 
     @property
     def range(self) -> float:

@@ -32,12 +32,16 @@ class VanDerWaals(CohesionLaw):
         "s_0 in contact: otherwise approaching particles gain or lose energy"
     )
     constant_names = ("hamaker_constant", "separation")
-    at_distance = True
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "VanDerWaals":
         """The law that a scene requests."""
         return cls(CUTOFF * max(pair.properties["separation"] for pair in request.pairs))
+
+    @property
+    def at_distance(self) -> bool:
+        """It attracts separated surfaces."""
+        return True
 
     @property
     def range(self) -> float:

@@ -16,6 +16,8 @@ Particles radiate to surroundings of the temperature T_s as gray bodies of the e
 
 A wall with a temperature is a body of its material that stays at it; a wall with a heat flux q gives a
 particle q times its projected area pi R^2.
+
+Conduction through the gas around contacts and across small gaps is a part of its own, see `gas`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,6 +27,13 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from granflow.contact.heat.gas import (
+    GAS_SOURCE,
+    Gas,
+    StagnantGas,
+    gas_conductance,
+    gas_conductance_of_wall,
+)
 from granflow.contact.law import ContactModel, FlowCase, HeatLaw, ModelRequest, Options, WallProperties
 from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import MaterialProperties
@@ -81,37 +90,54 @@ STEFAN_BOLTZMANN = 5.670374419e-8
 
 @dataclass(frozen=True)
 class Conduction(HeatLaw):
-    """Conduction through the contact area.
+    """Conduction through the contact area, and through gas.
 
     from_dissipation:  whether the losses of contacts become heat
     surroundings:      temperature [K] of the surroundings to which particles radiate; 0 without radiation
+    gas:               the gas between the surfaces
     """
 
     from_dissipation: bool = False
     surroundings: float = 0.0
+    gas: Gas = Gas()
 
     name = "conduction"
     source = (
         "Batchelor & O'Brien 1977, Proc. R. Soc. A 355:313, doi 10.1098/rspa.1977.0100; Chaudhuri et al. "
-        "2006, Chem. Eng. Sci. 61:6348"
+        f"2006, Chem. Eng. Sci. 61:6348; {GAS_SOURCE}"
     )
     limits = (
-        "one temperature per particle, for Biot numbers of a contact 2 k a / (k R) well below 1; no "
-        "conduction through the gas between the surfaces, no radiation between particles"
+        "one temperature per particle, for Biot numbers of a contact 2 k a / (k R) well below 1; the gas is "
+        "at rest and has no heat capacity; no radiation between particles"
     )
-    constant_names = ("conductivity",)
-    """2 k (E / E_true)^(1/3) [W/(m K)]: conductance of a contact over its radius."""
+    constant_names = ("conductivity", "overlap_ratio", "resistance_ratio", "wall_resistance_ratio")
+    """2 k (E / E_true)^(1/3) [W/(m K)]: conductance of a contact over its radius; overlap of the true moduli
+    at the same force over that of the contact, (E / E_true)^(2/3); for paths through the gas, ratios of their
+    resistance in the solid to that in the gas, between particles and at a wall."""
     wall_properties = ConductingWall
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Conduction":
         """The law that a scene requests."""
-        return cls(request.options.from_dissipation, request.options.surroundings or 0.0)
+        options = request.options
+        gas = Gas.of(options.gas, request.radius_eff_max)
+        return cls(options.from_dissipation, options.surroundings or 0.0, gas)
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """The temperature of the surroundings, if there are some."""
-        return {"surroundings": self.surroundings} if self.has_surroundings else {}
+        """The temperature of the surroundings, if there are some, and the numbers of the gas."""
+        surroundings = {"surroundings": self.surroundings} if self.has_surroundings else {}
+        return {**super().parameters, **surroundings, **self.gas.parameters}
+
+    @property
+    def at_distance(self) -> bool:
+        """Heat flows across small gaps through gas."""
+        return self.gas.is_present
+
+    @property
+    def range(self) -> float:
+        """Largest gap [m] across which heat flows: the film of the largest particle."""
+        return self.gas.reach
 
     @property
     def has_surroundings(self) -> bool:
@@ -143,34 +169,52 @@ class Conduction(HeatLaw):
         wall."""
         first, second = (each.thermal_conductivity or 0.0 for each in pair.materials)
         if first * second == 0.0:
-            return (0.0,)
+            return 0.0, 1.0, 0.0, 0.0
         true_compliance = sum(
             (1.0 - each.poisson_ratio**2) / (each.true_young_modulus or each.young_modulus)
             for each in pair.materials
         )
         softening = (pair.modulus_eff * true_compliance) ** (1.0 / 3.0)
-        return (4.0 * (first * second) / (first + second) * softening,)
+        doubled = 4.0 * (first * second) / (first + second)
+        return (
+            doubled * softening,
+            softening**2,
+            self.gas.resistance_ratio(0.5 * doubled),
+            self.gas.resistance_ratio(first),
+        )
 
     @ti.func
     def flow(self, constants, contact, first, partner):
         """Heat flow [W] from the partner to the first particle."""
         conductance = constants.conductivity * contact.contact_radius
+        if ti.static(self.gas.is_present):
+            conductance += gas_conductance(constants, self._true_overlap(constants, contact), first, partner)
         return ti.Struct(heat_flow=conductance * (partner.temperature - first.temperature))
 
     @ti.func
     def wall_flow(self, constants, contact, first, wall):
         """Heat flow [W] from a wall: conduction from its temperature, or its flux; the effective radius at a
         wall is that of the particle."""
-        conductance = constants.conductivity * contact.contact_radius * wall.temperature_given
+        conductance = constants.conductivity * contact.contact_radius
         area = pi * contact.radius_eff * contact.radius_eff
+        if ti.static(self.gas.is_present):
+            conductance += gas_conductance_of_wall(constants, self._true_overlap(constants, contact), first)
+            area = ti.select(contact.overlap > 0.0, area, 0.0)
+        conductance *= wall.temperature_given
         flow = conductance * (wall.temperature - first.temperature) + wall.heat_flux * area
         return ti.Struct(heat_flow=flow)
+
+    @ti.func
+    def _true_overlap(self, constants, contact):
+        """Overlap [m] of the true moduli at the same force; minus the distance of separated surfaces."""
+        return ti.select(contact.overlap > 0.0, constants.overlap_ratio, 1.0) * contact.overlap
 
     def flow_bounds(self, name: str, case: FlowCase) -> tuple[float, float]:
         """Flow from the highest temperature to one at 0 K, which no temperature difference exceeds without
         sources of heat, the largest flux, or the radiation of a black sphere; and the conductance of the
-        largest contact with that of radiation."""
+        largest contact and its gas with that of radiation."""
         conductance = self.pair_constants(case.pair)[0] * sqrt(case.radius_eff * case.overlap)
+        conductance += self.gas.largest_conductance(case.radius_eff)
         flux = max(map(abs, case.wall_values["heat_flux"]))
         highest = case.values["temperature"][1]
         radiated = slope = 0.0
@@ -196,11 +240,17 @@ class ConductionOptions(Options):
         "no radiation",
         examples=["300 K"],
     )
+    gas: StagnantGas | None = optional(
+        "gas at rest between the surfaces, which conducts heat around contacts and across small gaps",
+        "vacuum",
+        examples=[{"conductivity": "0.026 W/m/K", "min_gap": "1 um"}],
+    )
 
 
 MODEL = ContactModel(
     Conduction,
-    "conduction through the contact area, between particles with temperatures and with walls",
+    "conduction through the contact area and the gas around it, between particles with temperatures and with "
+    "walls",
     options=ConductionOptions,
     material_properties=ConductingMaterial,
 )
