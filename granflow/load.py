@@ -19,10 +19,8 @@ from granflow.io.checkpoint import engine_digest
 from granflow.io.files import file_digest, resolved, write_text
 from granflow.io.log import version_of
 from granflow.particles.resolve import resolved_input
-from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import Precision
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.blocks.sizes import SizeDistribution
 from granflow.scene.reader import document_in, scene_in
 from granflow.schema.document import DocumentError, document_of, parse
 from granflow.schema.model import Model
@@ -125,15 +123,12 @@ class Scene(SceneInput):
         return target
 
     def input_names(self) -> Iterator[tuple[str, str]]:
-        """Yield key and path of each mesh, motion, particle and sieve file, relative to the folder of the
-        scene."""
+        """Yield key and path of each file of a mesh, motion, group, clump or sieve curve, relative to the
+        folder of the scene."""
         for name, wall in self.walls.items():
             yield from ((f"walls.{name}.{key}", file) for key, file in wall.files())
         for name, group in self.particles.items():
-            if group.insert.source is not None:
-                yield f"particles.{name}.insert.file", group.insert.source
-            if isinstance(group.diameter, SizeDistribution) and group.diameter.source is not None:
-                yield f"particles.{name}.diameter.file", group.diameter.source
+            yield from ((f"particles.{name}.{key}", file) for key, file in group.files())
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as YAML: another process reads and checks it again, without its particle files."""
@@ -305,7 +300,7 @@ def copied_scene(scene: Scene, taken: dict[str, Path] | None = None) -> Scene:
     if all(name == copy for name, copy in copies.items()):
         return scene
     walls = {name: wall.with_files(copies) for name, wall in scene.walls.items()}
-    particles = {name: _group_with(group, copies) for name, group in scene.particles.items()}
+    particles = {name: group.with_files(copies) for name, group in scene.particles.items()}
     return scene.model_copy(update={"walls": walls, "particles": particles})
 
 
@@ -324,16 +319,6 @@ def _free(wanted: PurePath, source: Path, taken: dict[str, Path]) -> str:
         if taken.setdefault(path.as_posix().lower(), source) == source:
             return path.as_posix()
     raise AssertionError("count() has no end")
-
-
-def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
-    """A group with the paths of the copies of its files."""
-    changes: dict[str, Any] = {}
-    if group.insert.source is not None:
-        changes["insert"] = group.insert.with_source(copies[group.insert.source])
-    if isinstance(group.diameter, SizeDistribution) and group.diameter.source is not None:
-        changes["diameter"] = group.diameter.with_source(copies[group.diameter.source])
-    return group.model_copy(update=changes)
 
 
 # Identity of a scene

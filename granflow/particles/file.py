@@ -20,6 +20,8 @@ from granflow.particles.group import ParticleData, SceneGroup, particles_of
 
 # Tables of particles: text with named columns in common formats, or a VTU frame.
 
+PLAIN_COLUMNS = ("x", "y", "z", "r")
+"""Columns of the spheres of a clump in a file without a header."""
 MOST_SHOWN = 20
 """Largest number of problems shown per file; the message gives the number of the others."""
 RowProblem = tuple[int, str]
@@ -92,9 +94,21 @@ def read_particles(path: Path) -> ParticleTable:
     Raises SceneError with a message for each invalid row, up to `MOST_SHOWN`, or one message if the file is
     not readable, too large, or has no particles.
     """
+    return _read_once(path, True)
+
+
+def read_spheres(path: Path) -> ParticleTable:
+    """As `read_particles`, for the spheres of a clump: without a header, the columns are x, y, z and r.
+
+    Other programs write such files, as those for `particletemplate/multisphere` of LIGGGHTS.
+    """
+    return _read_once(path, False)
+
+
+def _read_once(path: Path, needs_header: bool) -> ParticleTable:
     try:
         status = path.stat()
-        return _read(path, status.st_mtime_ns, status.st_size)
+        return _read(path, status.st_mtime_ns, status.st_size, needs_header)
     except FileError as error:
         raise SceneError(error.problems) from None
     except FileNotFoundError:
@@ -104,7 +118,7 @@ def read_particles(path: Path) -> ParticleTable:
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, changed: int, size: int) -> ParticleTable:
+def _read(path: Path, changed: int, size: int, needs_header: bool) -> ParticleTable:
     """Content of a file; the cache key includes its modification time `changed` [ns] and its size [B].
 
     Raises SceneError with at most MOST_SHOWN invalid rows, or if the file contains no particles.
@@ -118,7 +132,7 @@ def _read(path: Path, changed: int, size: int) -> ParticleTable:
     if path.suffix.lower() == ".vtu":
         table = _frame(path)
     else:
-        table, problems = _text(path)
+        table, problems = _text(path, needs_header)
     reported = {line for line, _ in problems}
     problems = [*problems, *(each for each in _value_problems(table) if each[0] not in reported)]
     if problems:
@@ -188,12 +202,17 @@ def _frame(path: Path) -> ParticleTable:
     )
 
 
-def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
+def _text(path: Path, needs_header: bool) -> tuple[ParticleTable, list[RowProblem]]:
     """Particles of a text file, and the problems of its rows, sorted by line. Raises SceneError for the
     header."""
     table = table_in(read_text(path), path, SEPARATORS, _is_header)
     if table is None:
         raise SceneError(f"{path}: the file contains no particles.")
+    expected = f"the header has {len(table.names)} columns"
+    if not needs_header and len(table.names) == len(PLAIN_COLUMNS) and all(map(is_number, table.names)):
+        expected = f"{', '.join(PLAIN_COLUMNS)} are expected"
+        first = (table.heading_line, list(table.names))
+        table = replace(table, names=PLAIN_COLUMNS, heading_line=0, rows=(first, *table.rows))
     columns = _columns_by_quantity(table.names)
     width = len(table.names)
     if not _is_header(table.names):
@@ -203,7 +222,7 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
         )
     _refuse_incomplete(path, table)
     problems = [
-        (line, f"the row has {len(cells)} values, but the header has {width} columns.")
+        (line, f"the row has {len(cells)} values, but {expected}.")
         for line, cells in table.rows
         if len(cells) != width
     ]

@@ -1,6 +1,6 @@
 """Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Resolves motions and sieve curves from CSV files first, then `scale`, then counts from masses, end times and
+Resolves motions, sieve curves and clumps from files first, then `scale`, then counts from masses, end times and
 the duration, and summaries of particle files. Resolving is idempotent. The resolved scene is used for the run
 and saved with it.
 """
@@ -17,10 +17,11 @@ from granflow.errors import FileError, SceneError
 from granflow.geometry.close_pairs import near_pairs
 from granflow.io.files import FormatError, resolved
 from granflow.io.tables import UNIT, Table, read_table, unit_factor
-from granflow.particles.file import ParticleTable, rows_of, unassigned_rows
+from granflow.particles.file import ParticleTable, read_spheres, rows_of, unassigned_rows
 from granflow.particles.group import SceneGroup, groups_of
 from granflow.scene.blocks.insertions import FileSummary, TimedInsertion
 from granflow.scene.blocks.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
+from granflow.scene.blocks.particle_shapes.clump import MOST_SPHERES, Clump, ClumpSphere
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.sizes import SizeDistribution
@@ -257,11 +258,11 @@ def _overlap(group: SceneGroup, rows: ParticleTable) -> tuple[float, str]:
     return float(relative_overlap[worst]), f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"
 
 
-# Motions of walls and size distributions from CSV files, whose rows become values of the scene.
+# Motions of walls, size distributions and clumps from files, whose rows become values of the scene.
 
 
 def _with_files(scene: SceneInput, read: bool) -> SceneInput:
-    """The scene with the contents of all files of motions and size distributions.
+    """The scene with the contents of all files of motions, size distributions and clumps.
 
     `read`: see `resolved_input`. Raises SceneError with the problems of all files.
     """
@@ -290,6 +291,18 @@ def _with_files(scene: SceneInput, read: bool) -> SceneInput:
             except (FileError, FormatError, OSError) as error:
                 location = scene.locate("particles", name, "diameter", "file")
                 problems += _unusable(location, f"particles.{name}.diameter.file", sizes.source, error)
+        clump = group.clump
+        if clump is not None and clump.file is not None:
+            if clump.spheres is not None and not (read and (scene.folder / clump.file).exists()):
+                continue
+            try:
+                read_clump = _with_spheres(_existing(scene.folder, clump.file), clump)
+                groups[name] = group.model_copy(update={"clump": read_clump})
+            except SceneError as error:
+                problems += error.problems
+            except (FormatError, OSError) as error:
+                location = scene.locate("particles", name, "clump", "file")
+                problems += _unusable(location, f"particles.{name}.clump.file", clump.file, error)
     if problems:
         raise SceneError(problems)
     return scene.model_copy(update={"walls": walls, "particles": groups})
@@ -311,6 +324,26 @@ def _unusable(
         return error.problems
     reason = error.strerror if isinstance(error, OSError) else str(error)
     return (f"{location}: {key} is {file}, which cannot be used: {reason}.",)
+
+
+# Clumps: the rows of a file become the spheres.
+
+
+def _with_spheres(path: Path, clump: Clump) -> Clump:
+    """The clump with the spheres of its file.
+
+    Raises SceneError for invalid rows, and FormatError for too many spheres.
+    """
+    table = read_spheres(path)
+    if len(table) > MOST_SPHERES:
+        raise FormatError(f"it has {len(table)} spheres, but the limit is {MOST_SPHERES}")
+    spheres = [
+        ClumpSphere(position=center, radius=radius)
+        for center, radius in zip(
+            (clump.scale * table.position).tolist(), (clump.scale * table.radius).tolist(), strict=True
+        )
+    ]
+    return clump.model_copy(update={"spheres": tuple(spheres)})
 
 
 # Motions: the columns of a file become the columns of the motion.

@@ -423,7 +423,7 @@ def equation_values(parts: PartialScene) -> Iterator[Fault]:
             if getattr(group, equation.name) is None:
                 value = f"give the initial value, {equation.meaning} [{equation.unit}]"
                 yield missing(("particles", name, equation.name), value)
-            if group.shape.body is not None:
+            if group.clump is not None:
                 reason = f"cannot be combined with an equation of the {equation.name}"
                 yield whole(("particles", name, "clump"), reason)
         used = dict.fromkeys(group.material for group in scene.particles.values())

@@ -4,7 +4,7 @@
 `particle_shapes`, kinds of insertion in `insertions`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import log, sqrt
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -261,6 +261,26 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         """Shape of the particles."""
         return SPHERE if self.clump is None else self.clump
 
+    def files(self) -> Iterator[tuple[str, str]]:
+        """Yield key and path of each file that the group reads."""
+        if self.insert.source is not None:
+            yield "insert.file", self.insert.source
+        if self.clump is not None and self.clump.file is not None:
+            yield "clump.file", self.clump.file
+        if isinstance(self.diameter, SizeDistribution) and self.diameter.source is not None:
+            yield "diameter.file", self.diameter.source
+
+    def with_files(self, copies: Mapping[str, str]) -> "Group":
+        """This group with other paths of its files, by path."""
+        changes: dict[str, Any] = {}
+        if self.insert.source is not None:
+            changes["insert"] = self.insert.with_source(copies[self.insert.source])
+        if self.clump is not None and self.clump.file is not None:
+            changes["clump"] = self.clump.model_copy(update={"file": copies[self.clump.file]})
+        if isinstance(self.diameter, SizeDistribution) and self.diameter.source is not None:
+            changes["diameter"] = self.diameter.with_source(copies[self.diameter.source])
+        return self.model_copy(update=changes) if changes else self
+
     @property
     def diameters(self) -> tuple[float, float]:
         """Smallest and largest diameter [m] of spheres, before sampling; for a particle file, those in the
@@ -353,7 +373,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     def _size_faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of diameter, radius, clump and file defines the sizes."""
         given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
-        if self.shape.diameters:
+        if self.clump is not None:
             return
         if not given and not self.insert.defines_sizes:
             yield missing(("diameter",), "diameter [m], or a size distribution")

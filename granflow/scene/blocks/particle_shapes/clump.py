@@ -14,8 +14,8 @@ from granflow.scene.blocks.insertions import InsertionKind, kinds
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 from granflow.scene.blocks.primitives import RotationStep
 from granflow.schema import quantities as q
-from granflow.schema.faults import Fault, whole
-from granflow.schema.model import ListOf, Model, choose_by, optional
+from granflow.schema.faults import Fault, missing, whole
+from granflow.schema.model import FileName, ListOf, Model, choose_by, optional
 from granflow.visible_text import alternatives
 
 MOST_SPHERES = 100
@@ -69,14 +69,30 @@ class Clump(Model, ParticleShape):
     rotates: ClassVar[bool] = True
     packs_loosely: ClassVar[bool] = True
 
-    spheres: Annotated[
-        tuple[ClumpSphere, ...],
-        ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]"),
-    ] = Field(
-        description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100",
+    spheres: (
+        Annotated[
+            tuple[ClumpSphere, ...],
+            ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]"),
+        ]
+        | None
+    ) = Field(
+        None,
+        description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100; instead of "
+        "a file, or from it",
         examples=[
             [{"position": [0, 0, 0], "radius": "2 mm"}, {"position": ["3 mm", 0, 0], "radius": "2 mm"}]
         ],
+    )
+    file: FileName | None = Field(
+        None,
+        description="text file with a row x, y, z, r for each sphere, with or without a header, or VTU file; "
+        "path relative to the folder of the scene",
+        examples=["grain.csv"],
+    )
+    scale: q.Positive = Field(
+        1.0,
+        description="with file: factor from its lengths to m, such as 0.001 for mm; also to change the size",
+        examples=[0.001],
     )
     orientation: Orientation | None = optional(
         "orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
@@ -84,19 +100,26 @@ class Clump(Model, ParticleShape):
         "as given",
     )
 
-    # Numbers
+    # Numbers; a clump from a file has them as soon as the scene is resolved
+
+    @property
+    def known_spheres(self) -> tuple[ClumpSphere, ...]:
+        """The spheres."""
+        assert self.spheres is not None, "the file of the clump has not been read"
+        return self.spheres
 
     @property
     def body(self) -> ClumpBody:
         """Volume, moments of inertia and spheres of the clump."""
         return clump_body(
-            tuple(each.position for each in self.spheres), tuple(each.radius for each in self.spheres)
+            tuple(each.position for each in self.known_spheres),
+            tuple(each.radius for each in self.known_spheres),
         )
 
     @property
     def sphere_count(self) -> int:
         """Number of spheres."""
-        return len(self.spheres)
+        return len(self.known_spheres)
 
     @property
     def title(self) -> str:
@@ -111,7 +134,7 @@ class Clump(Model, ParticleShape):
     @property
     def diameters(self) -> tuple[float, ...]:
         """See `ParticleShape`."""
-        return tuple(sorted({2.0 * sphere.radius for sphere in self.spheres}))
+        return tuple(sorted({2.0 * sphere.radius for sphere in self.known_spheres}))
 
     def volume(self, radius: np.ndarray) -> np.ndarray:
         """See `ParticleShape`."""
@@ -148,9 +171,15 @@ class Clump(Model, ParticleShape):
     # Faults
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault for more than MOST_SPHERES spheres."""
-        if len(self.spheres) > MOST_SPHERES:
-            yield whole(("spheres",), f"has {len(self.spheres)} spheres, but the limit is {MOST_SPHERES}")
+        """Yield a fault without spheres, and for more than MOST_SPHERES."""
+        if self.file is None and self.spheres is None:
+            yield missing(("spheres",), "centers and radii, {position: [..], radius: ..}; or give file")
+        if self.file is None and self.scale != 1.0:
+            yield Fault(("scale",), "it belongs to a file; change the spheres, and remove scale")
+        if len(self.spheres or ()) > MOST_SPHERES:
+            yield whole(
+                ("spheres",), f"has {len(self.known_spheres)} spheres, but the limit is {MOST_SPHERES}"
+            )
 
     def faults_in_group(self, group: Any) -> Iterator[Fault]:
         """Clumps have no other size, move, and are inserted by the scene."""
@@ -181,15 +210,21 @@ class Clump(Model, ParticleShape):
 
         The forces on a sphere that occurs twice count twice, and volume and inertia once.
         """
-        centers = np.array([each.position for each in self.spheres])
-        radii = np.array([each.radius for each in self.spheres])
+        centers = np.array([each.position for each in self.known_spheres])
+        radii = np.array([each.radius for each in self.known_spheres])
         distance = np.linalg.norm(centers[:, None] - centers[None], axis=2)
-        yield from _repeated_spheres(centers, radii, distance, key)
-        yield from _gaps(centers, radii, distance, key)
+
+        def sphere(index: int) -> str:
+            if self.file is not None:
+                return f"sphere {index} of the file {key('clump', 'file')}"
+            return key("clump", "spheres", index, "position")
+
+        yield from _repeated_spheres(centers, radii, distance, sphere)
+        yield from _gaps(centers, radii, distance, sphere)
 
 
 def _repeated_spheres(
-    centers: np.ndarray, radii: np.ndarray, distance: np.ndarray, key: Callable[..., str]
+    centers: np.ndarray, radii: np.ndarray, distance: np.ndarray, sphere: Callable[[int], str]
 ) -> Iterator[str]:
     """A sentence on the first sphere that equals an earlier one, with the number of further ones."""
     scale = SAME_SPHERE * np.minimum.outer(radii, radii)
@@ -201,14 +236,14 @@ def _repeated_spheres(
         shifted = centers[index] + [radii[index], 0.0, 0.0]
         more = f" ({len(repeated) - 1} more of its spheres are repeated)" if len(repeated) > 1 else ""
         yield (
-            f"{key('clump', 'spheres', index, 'position')} is {_text(centers[index])} m with the radius "
+            f"{sphere(index)} is {_text(centers[index])} m with the radius "
             f"{radii[index]:.4g} m, the same sphere as spheres.{first}{more}: its contacts count twice. "
             f"Remove it, or give it another position such as {_text(shifted)} m."
         )
 
 
 def _gaps(
-    centers: np.ndarray, radii: np.ndarray, distance: np.ndarray, key: Callable[..., str]
+    centers: np.ndarray, radii: np.ndarray, distance: np.ndarray, sphere: Callable[[int], str]
 ) -> Iterator[str]:
     """A sentence on the narrowest gap between the spheres that are connected with the first one and the
     others."""
@@ -225,7 +260,7 @@ def _gaps(
     closed = centers[near] + (centers[far] - centers[near]) * (reach / distance[near, far])
     others = ", with the spheres connected with it," if (part == part[far]).sum() > 1 else ""
     yield (
-        f"{key('clump', 'spheres', far, 'position')} is {_text(centers[far])} m, {gap[near, far]:.3g} m away "
+        f"{sphere(far)} is {_text(centers[far])} m, {gap[near, far]:.3g} m away "
         f"from the surface of spheres.{near}, which is the nearest one of the others: the spheres of this "
         f"clump form {count} separate bodies that move as one. Move it{others} to a position such as "
         f"{_text(closed)} m, which closes the gap, or give the bodies groups of their own."
