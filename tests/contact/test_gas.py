@@ -11,7 +11,7 @@ from granflow.contact.heat.conduction import Conduction
 from granflow.contact.heat.gas import Gas
 from granflow.contact.material import PairMaterial, modulus_eff
 
-GAS, GAP, FILM = 0.3, 2e-5, 0.3
+GAS, GAP, FILM = 0.3, 2e-5, 0.6
 SOLID, OTHER = 1.0, 3.0
 YOUNG, TRUE_YOUNG, POISSON, DENSITY = 1e7, 8e7, 0.25, 1e12
 """The spheres are so heavy that they stay where they are."""
@@ -22,10 +22,10 @@ SPHERES = [
     # radii [m], overlap [m] or minus the gap
     (5e-3, 5e-3, 5e-4), (5e-3, 5e-3, 1e-5), (5e-3, 5e-3, -1e-6), (5e-3, 5e-3, -1e-4), (5e-3, 5e-3, -1.4e-3),
     (5e-3, 2e-3, 1e-5), (2e-3, 5e-3, -1e-5), (5e-3, 1.2e-3, 1e-6), (5e-3, 1.2e-3, -1.4e-3),
-    (5e-3, 5e-3, -1.6e-3),
+    (5e-3, 5e-3, -3.1e-3),
 ]  # fmt: skip
 """The last pair is farther apart than the film; the film of the large sphere covers half of the smallest one."""
-WALLS = [(5e-3, 1e-4), (5e-3, -1e-5), (2e-3, -5e-4), (5e-3, -1.6e-3)]
+WALLS = [(5e-3, 1e-4), (5e-3, -1e-5), (2e-3, -5e-4), (5e-3, -3.1e-3)]
 """Radius and overlap of spheres at a plate; the last one is farther from it than its film."""
 
 

@@ -51,11 +51,11 @@ class StagnantGas(Model):
         "their roughness, or the mean free path of the gas if this is larger",
         examples=["1 um"],
     )
-    film: Annotated[float, Number(noun="a film", above=0, at_most=0.5)] = Field(
-        0.2,
+    film: Annotated[float, Number(noun="a film", above=0, at_most=1)] = Field(
+        0.4,
         description="thickness of the film of gas of a particle over its radius; heat crosses the gas where "
         "the film of the larger particle reaches the other one",
-        examples=["0.2"],
+        examples=["0.4"],
     )
     solid_resistance: Flag = Field(
         True,
@@ -139,6 +139,7 @@ def gas_conductance(constants, overlap, first, partner):
     # Lengths w of paths: where the film ends, where the surfaces touch, where the gap is the smallest one.
     touching = ti.min(radius + smaller, distance)
     far = ti.min(ti.sqrt(radius * radius - outer) + ti.sqrt(smaller * smaller - outer), touching)
+    far = ti.max(far, SHORTEST_PATH * smaller)
     near = ti.max(ti.min(touching, distance - gap), far)
     area = math.pi * (
         squared_distance_from_axis(near, sum_squared, difference_squared)
@@ -157,6 +158,11 @@ def gas_conductance(constants, overlap, first, partner):
     integral = area / (gap + ratio * (distance - gap))
     integral += 0.5 * math.pi * (linear - sum_squared * difference_squared * cubic)
     return ti.cast(constants.gas_conductivity, ti.f64) * integral
+
+
+SHORTEST_PATH = 1e-6
+"""Length of the shortest path in two particles over the radius of the smaller one; the closed form divides by
+it, in a term that is 0 for equal radii."""
 
 
 @ti.func
