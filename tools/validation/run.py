@@ -37,6 +37,7 @@ from validation.attraction import attraction_cases
 from validation.case import ValidationCase
 from validation.collisions import elastic_cases, restitution_cases, stated_cases, steel_cases
 from validation.cooling import MODULI, QUICK_COUNT, haff_cases, viscoelastic_gas_cases
+from validation.heat_bed import heat_bed_cases
 from validation.motion import motion_cases
 from validation.normal_models import normal_model_cases
 from validation.oblique import oblique_cases
@@ -88,6 +89,7 @@ FAMILIES: Mapping[str, Family] = {
     "discharge of a silo": discharge_cases,
     "layer on a slope": layer_cases,
     "sheared box": cell_cases,
+    "heat in a bed": heat_bed_cases,
 }
 """All cases but those of LIGGGHTS and LAMMPS."""
 PAGE = ROOT / "docs" / "pages" / "validation.md"
