@@ -1,8 +1,8 @@
 """Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Resolves motions, sieve curves and clumps from files first, then `scale`, then counts from masses, end times and
-the duration, and summaries of particle files. Resolving is idempotent. The resolved scene is used for the run
-and saved with it.
+Resolves motions, sieve curves and clumps from files first, then `scale`, then counts from masses, end times
+and the duration, and summaries of particle files. Resolving is idempotent. The resolved scene is used for the
+run and saved with it.
 """
 
 from collections.abc import Iterator
