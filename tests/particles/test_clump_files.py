@@ -19,7 +19,7 @@ def rows(separator, *columns):
 
 
 FILES = {
-    "liggghts.txt": "# grain\n" + rows("  ", 0, 1, 2, 3),
+    "liggghts.txt": "# stone\n" + rows("  ", 0, 1, 2, 3),
     "mercury.csv": rows(",", 0, 1, 2, 3),
     "tabs.txt": rows("\t", 0, 1, 2, 3),
     "header.csv": "radius;z;y;x\n" + rows(";", 3, 2, 1, 0),
@@ -30,13 +30,13 @@ FILES = {
 def scene_with(clump, folder):
     return Scene.from_dict(
         {
-            "title": "Grains",
+            "title": "Stones",
             "gravity": [0, 0, -9.81],
             "materials": {"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500}},
             "pairs": {"glass-glass": {"restitution": 0.8, "friction": 0.5}},
             "contact": {"normal": "hertz", "tangential": "mindlin", "rolling": "none"},
             "particles": {
-                "grains": {
+                "stones": {
                     "material": "glass",
                     "mass": 0.1,
                     "clump": clump,
@@ -58,8 +58,8 @@ def scene_with(clump, folder):
 def test_the_spheres_of_a_file_are_those_of_the_scene(name, tmp_path):
     (tmp_path / name).write_text(FILES[name])
     scale = 1.0 if name == "units.csv" else 0.001
-    found = scene_with({"file": name, "scale": scale}, tmp_path).particles["grains"]
-    expected = scene_with({"spheres": SPHERES}, tmp_path).particles["grains"]
+    found = scene_with({"file": name, "scale": scale}, tmp_path).particles["stones"]
+    expected = scene_with({"spheres": SPHERES}, tmp_path).particles["stones"]
     assert [each.radius for each in found.clump.spheres] == pytest.approx([0.002, 0.0015, 0.001])
     assert found.clump.body.volume == pytest.approx(expected.clump.body.volume, rel=1e-12)
     assert found.clump.outer_diameter == pytest.approx(expected.clump.outer_diameter, rel=1e-12)
@@ -67,42 +67,42 @@ def test_the_spheres_of_a_file_are_those_of_the_scene(name, tmp_path):
 
 
 def test_a_saved_scene_has_the_spheres_and_the_path_of_the_file(tmp_path):
-    (tmp_path / "grain.txt").write_text(FILES["liggghts.txt"])
-    scene = scene_with({"file": "grain.txt", "scale": 0.002}, tmp_path)
-    assert list(scene.input_names()) == [("particles.grains.clump.file", "grain.txt")]
+    (tmp_path / "stone.txt").write_text(FILES["liggghts.txt"])
+    scene = scene_with({"file": "stone.txt", "scale": 0.002}, tmp_path)
+    assert list(scene.input_names()) == [("particles.stones.clump.file", "stone.txt")]
     text = scene.to_yaml()
-    (tmp_path / "grain.txt").unlink()
+    (tmp_path / "stone.txt").unlink()
     again = scene_of(text, str(tmp_path / "scene_as_run.yaml"))
     assert again.particles == scene.particles
-    assert again.particles["grains"].clump.spheres[1].position == pytest.approx((0.006, 0.0, 0.0))
+    assert again.particles["stones"].clump.spheres[1].position == pytest.approx((0.006, 0.0, 0.0))
 
 
 CASES = [
-    ("x,y,z,r\n0,0,0,1e-3\n1e-3,0,0,-1\n", "grain.csv:3: the radius must be above 0."),
-    ("x,y,z,r\n0,0,0,1e-3\n1e-3,a,0,1\n", "grain.csv:3: y is a, but a number is expected."),
-    ("0 0 0 1\n1 0 0\n", "grain.csv:2: the row has 3 values, but x, y, z, r are expected."),
-    ("0 0 0\n1 0 0\n", "grain.csv:1: the first line must be a header with the columns x, y, z and r"),
-    ("x,y,z\n0,0,0\n", "grain.csv:1: the first line must be a header with the columns x, y, z and r"),
-    ("", "grain.csv: the file contains no particles."),
-    ("0 0 0 1\n" * 101, "particles.grains.clump.file is grain.csv, which cannot be used: it has 101 spheres"),
-    (None, "particles.grains.clump.file is grain.csv, which cannot be used: there is no such file"),
+    ("x,y,z,r\n0,0,0,1e-3\n1e-3,0,0,-1\n", "stone.csv:3: the radius must be above 0."),
+    ("x,y,z,r\n0,0,0,1e-3\n1e-3,a,0,1\n", "stone.csv:3: y is a, but a number is expected."),
+    ("0 0 0 1\n1 0 0\n", "stone.csv:2: the row has 3 values, but x, y, z, r are expected."),
+    ("0 0 0\n1 0 0\n", "stone.csv:1: the first line must be a header with the columns x, y, z and r"),
+    ("x,y,z\n0,0,0\n", "stone.csv:1: the first line must be a header with the columns x, y, z and r"),
+    ("", "stone.csv: the file contains no particles."),
+    ("0 0 0 1\n" * 101, "particles.stones.clump.file is stone.csv, which cannot be used: it has 101 spheres"),
+    (None, "particles.stones.clump.file is stone.csv, which cannot be used: there is no such file"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "sentence"), CASES)
 def test_a_file_that_is_not_valid_has_its_message(text, sentence, tmp_path):
     if text is not None:
-        (tmp_path / "grain.csv").write_text(text)
+        (tmp_path / "stone.csv").write_text(text)
     with pytest.raises(SceneError) as error:
-        scene_with({"file": "grain.csv"}, tmp_path)
+        scene_with({"file": "stone.csv"}, tmp_path)
     assert any(sentence in each for each in error.value.problems), error.value.problems
 
 
 @pytest.mark.parametrize(
     ("clump", "sentence"),
     [
-        ({"orientation": "random"}, "particles.grains.clump.spheres is missing: centers and radii"),
-        ({"spheres": SPHERES, "scale": 2}, "particles.grains.clump.scale is 2, but it belongs to a file"),
+        ({"orientation": "random"}, "particles.stones.clump.spheres is missing: centers and radii"),
+        ({"spheres": SPHERES, "scale": 2}, "particles.stones.clump.scale is 2, but it belongs to a file"),
     ],
 )
 def test_a_clump_has_spheres_or_a_file(clump, sentence, tmp_path):

@@ -87,7 +87,7 @@ class Clump(Model, ParticleShape):
         None,
         description="text file with a row x, y, z, r for each sphere, with or without a header, or VTU file; "
         "path relative to the folder of the scene",
-        examples=["grain.csv"],
+        examples=["stone.csv"],
     )
     scale: q.Positive = Field(
         1.0,
