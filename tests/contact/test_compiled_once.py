@@ -30,7 +30,9 @@ def choices(annotation, number):
         return [value for member in members for value in choices(member, number)]
     if annotation in (bool, type(None)):
         return [False, True] if annotation is bool else [None]
-    return [number] if annotation is float else [dict.fromkeys(annotation.model_fields, number)]
+    if annotation is float:
+        return [number]
+    return [{key: number for key, each in annotation.model_fields.items() if each.annotation is not bool}]
 
 
 def variants(model, number):
