@@ -339,6 +339,7 @@ class Engine:
             stored_energy = self._contact_energy
         self.stepper.poses.discard()
         self.stepper.refresh(self.step_count, velocities_lag=self._velocities_lag)
+        self.state.clock.time_step_of_forces = self.plan.longest_time_step
         if self._velocities_lag and self.aborted:
             self._stopping_change = WallChange(self._stage, tuple(self._walls_appeared))
         else:
@@ -364,6 +365,8 @@ class Engine:
         rebuilds = self.timing.rebuild_count
         done = self.stepper.advance(steps, self.step_count)
         self.state.clock.step_count += done
+        if done:
+            self.state.clock.time_step_of_forces = self.state.clock.time_step
         if self.plan.adaptive_time_step is None:
             return
         self.steps_since_update += done

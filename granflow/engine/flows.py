@@ -49,7 +49,6 @@ class Flows:
         self.wall_of = state.built(Faces).wall_of
         self.wall_flows = state.control.wall_flows
         self.wall_flows_ahead = state.control.wall_flows_ahead
-        self.flow_time_step = state.control.flow_time_step
         self.wall_sums = [
             (k, state.parameter(f"per_unit.wall.{name}")) for k, name in enumerate(state.plan.wall_flows)
         ]
@@ -112,11 +111,8 @@ class Flows:
         time_step:  as of a normal model [s]
 
         Reads:   radius, material, properties that the laws read
-        Writes:  the sums, wall_flows, wall_flows_ahead, flow_time_step
+        Writes:  the sums, wall_flows, wall_flows_ahead
         """
-        if ti.static(self.sums_walls):
-            if i == 0:
-                self.flow_time_step[0] = ti.cast(time_step, ti.f64)
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
         for k, source, field, shift in ti.static(self.sources):
@@ -367,7 +363,6 @@ def wall_flow_totals(state: State) -> dict[str, float]:
     words_ahead = control.wall_flows_ahead.to_numpy()
     sums = state.ranks.total(control.wall_flows.to_numpy() - words_ahead)
     sums_ahead = state.ranks.total(words_ahead)
-    time_step = state.ranks.largest(float(control.flow_time_step[0]))
     units = np.array(list(plan.wall_flow_units.values()))
     found = {}
     for index, wall in enumerate(plan.walls):
@@ -379,7 +374,7 @@ def wall_flow_totals(state: State) -> dict[str, float]:
         ahead = exact_totals(sums_ahead[:, index], units).tolist()
         for flow, amount in zip(plan.wall_flows, ahead, strict=True):
             if flow in plan.laws.rates_from_walls:
-                rate = amount / time_step if time_step > 0.0 else 0.0
+                rate = amount / state.clock.time_step_of_forces
                 found[f"{plan.laws.rates_from_walls[flow].name}.{wall.name}"] = rate
     if plan.laws.of_surroundings is not None:
         totals = exact_totals(sums[:, state.capacities.walls], units).tolist()

@@ -221,7 +221,8 @@ class FreedState:
 
 
 class Clock:
-    """Counts steps and computes their times [s]. A new time step applies from the present time on.
+    """Counts steps and computes their times [s]. A new time step applies from the present time on;
+    `time_step_of_forces` is that for which the present forces and flows have been computed.
 
     Times follow from step numbers and not from a running sum, so that they do not depend on the launches.
     """
@@ -229,6 +230,7 @@ class Clock:
     def __init__(self, time_step: float) -> None:
         """Start at time 0 with a time step [s]."""
         self.time_step = time_step
+        self.time_step_of_forces = time_step
         self.step_count = 0
         self._since_step = 0
         self._since_time = 0.0
@@ -255,6 +257,7 @@ class Clock:
         """The complete state of the clock, for a checkpoint."""
         return {
             "time_step": self.time_step,
+            "time_step_of_forces": self.time_step_of_forces,
             "step_count": self.step_count,
             "since_step": self._since_step,
             "since_time": self._since_time,
@@ -263,6 +266,7 @@ class Clock:
     def load_state_dict(self, saved: dict[str, float]) -> None:
         """Restore a state that `state_dict` returned."""
         self.time_step = saved["time_step"]
+        self.time_step_of_forces = saved["time_step_of_forces"]
         self.step_count = int(saved["step_count"])
         self._since_step = int(saved["since_step"])
         self._since_time = saved["since_time"]
@@ -619,7 +623,6 @@ class Control(Fields):
     wall_flows:                 time integrals of the flows of walls, and in the last places of the
                                 surroundings and of sources, see `engine.flows`
     wall_flows_ahead:           part of them that belongs to the next step
-    flow_time_step:             time step [s] of this part
     wear:                       worn volume and works of each worn face, see `engine.wear`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
     losses_ahead:               part of the terms `sum_units.terms_ahead` of each chunk that belongs to the

@@ -209,7 +209,6 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         sums("wear", (1, worn), WEAR_SIZE, worn > 0),
         sums("wall_flows", givers, wall_flows, wall_flows > 0),
         sums("wall_flows_ahead", givers, wall_flows, wall_flows > 0),
-        DeviceArray("flow_time_step", "f64", (1,), wanted=wall_flows > 0, saved=True),
     ]
 
 
