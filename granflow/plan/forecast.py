@@ -37,6 +37,7 @@ from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.walls.wall import Wall
+from granflow.visible_text import alternatives
 
 Path = tuple[str | int, ...]
 Finding = tuple[Path, str]
@@ -57,6 +58,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         region_findings(plan, times),
         servo_findings(plan, times),
         flow_findings(plan),
+        fixed_findings(plan),
     )
     sentences = [f"{_key_and_place(scene, *path)}{rest}" for path, rest in findings]
     for name, group in scene.particles.items():
@@ -67,6 +69,17 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
 def _key_and_place(scene: Scene, *path: str | int) -> str:
     """A key and its place in the scene file."""
     return f"{'.'.join(map(str, path))} ({scene.where(*path)})"
+
+
+def fixed_findings(plan: Plan) -> Iterator[Finding]:
+    """Nothing flows through the contacts of fixed particles, which are not evaluated."""
+    groups = plan.scene.particles
+    if plan.laws.flows and all(group.fixed for group in groups.values()):
+        yield (
+            ("particles", next(iter(groups)), "fixed"),
+            ": all particles are fixed, and fixed particles have no contacts with each other and with walls, "
+            f"so that {alternatives(plan.laws.flows)} is 0. Leave out fixed: particles at rest can move.",
+        )
 
 
 # The impact velocity of the forecasts: a fall from where particles start, not through the whole domain.

@@ -10,6 +10,7 @@ from granflow import Scene, Simulation
 from granflow.contact.heat.conduction import Conduction
 from granflow.contact.heat.gas import Gas
 from granflow.contact.material import PairMaterial, modulus_eff
+from granflow.plan.build import plan_for
 
 GAS, GAP, FILM = 0.3, 2e-5, 0.6
 SOLID, OTHER = 1.0, 3.0
@@ -178,3 +179,12 @@ def test_without_the_resistance_of_the_solid_the_gas_alone_limits_the_flow():
     )
     assert both == pytest.approx((4.0, 1.0, 0.5 * GAS, 0.5 * GAS))
     assert gas_only == pytest.approx((4.0, 1.0, 0.0, 0.0))
+
+
+def test_a_bed_of_fixed_particles_is_a_warning():
+    scene = gas_scene().to_dict()
+    for group in scene["particles"].values():
+        group["fixed"] = True
+    warnings = [each.warning for each in plan_for(Scene.from_dict(scene)).forecasts if each.warning]
+    assert any("all particles are fixed" in each and "heat_flow is 0" in each for each in warnings)
+    assert not any("fixed" in (each.warning or "") for each in plan_for(gas_scene()).forecasts)
