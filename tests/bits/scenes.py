@@ -287,7 +287,6 @@ QUICK = {
             "source_heat",
             "heat_content_set",
             "wall_heat.floor",
-            "wall_heat_flow.floor",
             "wear_volume.floor",
         ),
     ),
