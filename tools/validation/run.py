@@ -117,6 +117,7 @@ SUBJECTS = {
     "Narrow silo": "Weight that the walls of a silo carry (Janssen).",
     "Discharge of a flat-bottomed silo": "Mass flow rate over the diameter of the orifice (Beverloo).",
     "Sheared flows": "Friction and solid fraction of flows over the inertial number.",
+    "Heat conduction in a bed": "Effective conductivity of beds of spheres in air and in vacuum.",
     "LIGGGHTS and LAMMPS, column": "Collapse of a column, from the same initial state.",
     "LIGGGHTS and LAMMPS, hopper": "Discharge of a hopper, from the same initial state.",
     "LIGGGHTS and LAMMPS, flat silo with a slot": "Discharge through a slot, from the same initial state.",
