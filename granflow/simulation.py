@@ -25,7 +25,7 @@ from granflow.observers.build import observers_for
 from granflow.observers.observer import Observer
 from granflow.parallel.refusals import refuse_on_ranks
 from granflow.particles.group import ParticleData
-from granflow.plan.build import plan_for, rank_plan
+from granflow.plan.build import plan_for, rank_plan, with_workers
 from granflow.plan.cost import (
     refuse_run_time,
     refuse_too_many,
@@ -459,6 +459,7 @@ def run_start(
         original = given_plan
     else:  # the scene of the run is the argument, such as the one with another precision
         original = replace(given_plan, scene=scene)
+    original = with_workers(original, backend.worker_count)
     plan = original if checkpoint is None else changed_plan(original, checkpoint)
     plan = plan_with_forces(plan, forces, backend)
     refuse_run_time(plan, allow_long)

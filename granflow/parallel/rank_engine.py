@@ -86,7 +86,7 @@ class RankEngine(Engine):
 
     def _create(self, plan: Plan, backend: Backend) -> None:
         """Create the engine of this rank, together with all other ranks."""
-        super().__init__(rank_plan(plan, self.communicator.size), backend)
+        super().__init__(rank_plan(plan, self.communicator.size, backend.worker_count), backend)
         self.state.ranks = self.communicator
         gc.collect()
         # Otherwise a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler.

@@ -13,7 +13,7 @@ MIN_SIZE_CLASSES, MIN_WALLS, MIN_PAIRS = 8, 8, 64
 """Smallest capacities for size classes, walls and pairs of materials."""
 MIN_TRIANGLES = 1024
 """Smallest capacity for triangles, edges, vertices and cells of meshes."""
-MIN_BATCH, MIN_CHUNK_PARTICLES = 1024, 512
+MIN_BATCH, MIN_CHUNK_PARTICLES = 1024, 4096
 """Smallest capacities of a batch of contacts, those of several particles or of one with many neighbors, and
 of the force sums of a chunk."""
 WORKERS = 16

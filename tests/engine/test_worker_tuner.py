@@ -1,9 +1,12 @@
-"""The worker tuner selects the fastest number of workers from rates and contention of launches (modeled
-here)."""
+"""Chunks by the number of workers. The worker tuner selects the fastest number of workers from rates and
+contention of launches (modeled here)."""
 
+import numpy as np
 import pytest
+from scene_builders import build_scene, particle_group
 
 from granflow.engine.threads import WorkerTuner
+from granflow.plan.build import plan_for, with_workers
 
 LAUNCH = 0.05
 """Wall seconds of a launch."""
@@ -70,3 +73,13 @@ def test_rare_contention_and_scattered_rates_keep_two_workers(speed, launch, slo
         is_contended = bool(contended) and size == 2 and number % contended == 0
         tuner.record(launch * speed[size] * slower[number % 2], launch, contended=is_contended)
     assert tuner.size == 2
+
+
+@pytest.mark.parametrize(("count", "workers", "given", "size"), [
+    (64, 4, "auto", 1), (65, 1, "auto", 512), (5000, 1, "auto", 5000), (17000, 1, "auto", 16384),
+    (5000, 2, "auto", 625), (5001, 2, "auto", 626), (5000, 4, "auto", 512), (17000, 1, 77, 77), (5000, 2, 77, 77),
+])  # fmt: skip
+def test_chunks_by_particles_and_workers(count, workers, given, size):
+    """One chunk of at most 16384 particles for one worker; otherwise four of 512 to 4096 for each."""
+    scene = build_scene({"balls": particle_group(np.zeros((count, 3)))}, numerics={"chunk_size": given})
+    assert with_workers(plan_for(scene), workers).chunk_size == size

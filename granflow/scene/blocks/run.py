@@ -218,7 +218,10 @@ class Numerics(Model):
     )
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: q.AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
-    chunk_size: ChunkSize = Field("auto", description="particles per chunk of the neighbor list, or auto")
+    chunk_size: ChunkSize = Field(
+        "auto",
+        description="particles per chunk of the neighbor list, or auto: from their number and the threads",
+    )
     max_overlap: OverlapLimit = Field(
         "auto",
         description=(
