@@ -231,7 +231,8 @@ SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved
 compile time."""
 CHUNKS_PER_WORKER = 4
-"""Number of chunks per worker if there are several, so that those who are ready take chunks of the others."""
+"""Least number of chunks for each of several workers, so that those who are ready take chunks of the others.
+All have the same number of equal chunks."""
 CHUNK_BOUNDS = (512, 4096)
 """Particles per chunk of several workers: pairs across chunks are computed twice, in settled beds 22 % of all
 pairs in chunks of 512, 14 to 17 % of 1024, 8 to 13 % of 2048, 5 to 11 % of 4096; and a worker waits until
@@ -256,7 +257,8 @@ def _chunk_size(numerics: Numerics, particle_count: int, workers: int = 1) -> in
     smallest, largest = CHUNK_BOUNDS
     if workers == 1:
         return min(max(particle_count, smallest), LARGEST_CHUNK_ALONE)
-    return min(max(ceil(particle_count / (CHUNKS_PER_WORKER * workers)), smallest), largest)
+    each = max(ceil(particle_count / (largest * workers)), CHUNKS_PER_WORKER)
+    return max(ceil(particle_count / (each * workers)), smallest)
 
 
 # Checks that need several decisions.

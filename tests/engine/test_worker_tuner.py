@@ -77,9 +77,10 @@ def test_rare_contention_and_scattered_rates_keep_two_workers(speed, launch, slo
 
 @pytest.mark.parametrize(("count", "workers", "given", "size"), [
     (64, 4, "auto", 1), (65, 1, "auto", 512), (5000, 1, "auto", 5000), (17000, 1, "auto", 16384),
-    (5000, 2, "auto", 625), (5001, 2, "auto", 626), (5000, 4, "auto", 512), (17000, 1, 77, 77), (5000, 2, 77, 77),
+    (5000, 2, "auto", 625), (5001, 2, "auto", 626), (40000, 2, "auto", 4000), (5000, 4, "auto", 512), (5000, 2, 77, 77),
 ])  # fmt: skip
 def test_chunks_by_particles_and_workers(count, workers, given, size):
-    """One chunk of at most 16384 particles for one worker; otherwise four of 512 to 4096 for each."""
+    """One worker has chunks of at most 16384 particles, each of several workers an equal number of chunks of 512
+    to 4096 particles, at least four if the particles suffice."""
     scene = build_scene({"balls": particle_group(np.zeros((count, 3)))}, numerics={"chunk_size": given})
     assert with_workers(plan_for(scene), workers).chunk_size == size
