@@ -95,6 +95,8 @@ Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ran
 
 - **Order of the particles**: the order of cells in blocks of 8 x 8 x 8 puts as few pairs across chunks as the Hilbert curve
   and the Z-order curve within 1 to 3 points, for chunks of 512 to 4096. The curves would be another sort for no gain.
+- **Chunks of a worker**: workers that begin each phase with chunks of their own instead of the next one of all, so that
+  the particles are in their cache: -5 to +4 % (10 000 particles, two threads, chunks of 512 to 2048, 126 to 339 windows).
 - **Quotients of a contact**: with products in place of the three effective values, which is wrong, a step takes 2 % less
   (one thread, 60 pairs of windows): one quotient for two of them is worth less than 1 %.
 - **Roots of a contact**: without the root of the mean over the first step, and without that of the ratio of stiffnesses,
