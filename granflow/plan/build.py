@@ -243,7 +243,7 @@ LARGEST_CHUNK_ALONE = 16_384
 
 def with_workers(plan: Plan, workers: int) -> Plan:
     """The plan for a number of CPU threads, which determines the chunks unless the scene gives their size."""
-    if plan.chunk_size == 1 or plan.scene.numerics.chunk_size != "auto":
+    if plan.chunk_size == 1:
         return plan
     return replace(plan, chunk_size=_chunk_size(plan.scene.numerics, plan.particle_capacity, workers))
 
