@@ -84,3 +84,4 @@ def test_chunks_by_particles_and_workers(count, workers, given, size):
     to 4096 particles, at least four if the particles suffice."""
     scene = build_scene({"balls": particle_group(np.zeros((count, 3)))}, numerics={"chunk_size": given})
     assert with_workers(plan_for(scene), workers).chunk_size == size
+    assert with_workers(plan_for(scene, on_gpu=True), workers).chunk_size == 1
