@@ -27,6 +27,7 @@ import numpy as np
 from granflow.engine.box import DeviceBox, ParticleWrap
 from granflow.engine.gravity import Gravity
 from granflow.engine.neighbor.phases import Phase, granularity
+from granflow.engine.particle_forces import Damping
 from granflow.engine.state import State
 from granflow.geometry.clump import matrices
 from granflow.kernel_language import ti
@@ -38,9 +39,9 @@ class ClumpMotion:
     """Integration of the copy of its clump that a sphere has.
 
     Reads:   force, torque, position, clump_size, clump_begin, clump_offset, clump_mass, clump_inertia,
-             index_by_id, orientation, image_offset
+             index_by_id, orientation, image_offset, damping, force_clock
     Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
-             velocity_synchronized, angular_velocity, angular_velocity_synchronized, boundary_work
+             velocity_synchronized, angular_velocity, angular_velocity_synchronized, boundary_work, losses
     """
 
     def __init__(self, state: State) -> None:
@@ -52,6 +53,9 @@ class ClumpMotion:
         self.gravity = state.built(Gravity)
         self.box = state.built(DeviceBox)
         self.particle_wrap = state.built(ParticleWrap)
+        self.control = state.control
+        self.damps = self.features.damping != "none"
+        self.damping = state.built(Damping) if self.damps else None
 
     @ti.func
     def move(self, chunk, i, pose, dt):
@@ -64,9 +68,18 @@ class ClumpMotion:
         offset = self.particles.clump_offset[i]
         q = self.particles.orientation[i]
         rotation = scaled_rotation(q)
-        force, torque = self._sums(i, rotation)
         inertia = ti.cast(self.particles.clump_inertia[i], self.exact)
-        kick = exact_dt * self._acceleration(i, force, self.gravity.before(pose))
+        gravity = self.gravity.before(pose)
+        force, torque = self._sums(i, rotation)
+        damping_force = ti.Vector.zero(self.exact, 3)
+        damping_torque = ti.Vector.zero(self.exact, 3)
+        if ti.static(self.damps):
+            damping_force, damping_torque = self._damping(i, rotation, inertia, gravity, force, torque)
+            force += damping_force
+            torque += damping_torque
+            if ti.static(self.features.energy_budget):
+                self._add_loss(chunk, i, damping_force, damping_torque, dt)
+        kick = exact_dt * self._acceleration(i, force, gravity)
         velocity = self.particles.clump_velocity[i] + kick
         momentum = self.particles.clump_angular_momentum[i] + exact_dt * torque
         q_half = half_turned(q, momentum, inertia, exact_dt, (2, 1, 0))
@@ -84,6 +97,8 @@ class ClumpMotion:
         self.particles.angular_velocity[i] = ti.cast(
             angular_velocity_of(rotation_half, momentum, inertia), self.real
         )
+        if ti.static(self.damps and self.features.energy_budget):
+            self._add_loss(chunk, i, damping_force, damping_torque, dt)
         if ti.static(self.features.synchronized):
             spin = angular_velocity_of(rotation_new, momentum + 0.5 * exact_dt * torque, inertia)
             self.particles.velocity_synchronized[i] = ti.cast(
@@ -96,7 +111,11 @@ class ClumpMotion:
 
     @ti.func
     def kick(self, i, time, pose):
-        """Change velocity and angular momentum of the copy by the present forces during `time` [s]."""
+        """Change velocity and angular momentum of the copy by the present forces during `time` [s].
+
+        Damping acts in whole steps only, from half a step before the forces to half a step behind them, and
+        so does its loss.
+        """
         force, torque = self._sums(i, scaled_rotation(self.particles.orientation[i]))
         exact_time = ti.cast(time, self.exact)
         acceleration = self._acceleration(i, force, self.gravity.after(pose))
@@ -123,6 +142,42 @@ class ClumpMotion:
             force_sum += force
             torque_sum += ti.cast(self.particles.torque[j], self.exact) + arm.cross(force)
         return force_sum, torque_sum
+
+    @ti.func
+    def _damping(self, i, rotation, inertia, gravity, force, torque):
+        """Damping force [N] and torque [N m] of the clump, as `Damping` has them for spheres.
+
+        gravity:        present one [m/s2]
+        force, torque:  sums over its spheres
+
+        The weight is part of the force that Cundall damping reduces. With the angular momentum L(t - dt/2)
+        and the torque M without damping:
+
+            Mc = -a |M_k| sign(w_k)                                       with L = L(t - dt/2) + (dt/2) M
+            Md = -g L,  L = (L(t - dt/2) + (dt/2) (M + Mc)) / (1 + g dt/2)
+        """
+        mass = ti.cast(self.particles.clump_mass[i], self.exact)
+        total = force + mass * ti.cast(gravity, self.exact)
+        damping_force = self.damping.of(total, self.particles.clump_velocity[i], mass)
+        ratio = ti.cast(self.control.damping[0], self.exact)
+        rate = ti.cast(self.control.damping[1], self.exact)
+        lag = ti.cast(self.control.force_clock[3], self.exact)
+        momentum = self.particles.clump_angular_momentum[i]
+        spin = angular_velocity_of(rotation, momentum + lag * torque, inertia)
+        damping_torque = 0.0 * torque
+        for k in ti.static(range(3)):
+            sign = ti.select(spin[k] > 0.0, 1.0, ti.select(spin[k] < 0.0, -1.0, 0.0))
+            damping_torque[k] = -ratio * ti.abs(torque[k]) * ti.cast(sign, self.exact)
+        damping_torque -= (rate / (1.0 + rate * lag)) * (momentum + lag * (torque + damping_torque))
+        return damping_force, damping_torque
+
+    @ti.func
+    def _add_loss(self, chunk, i, force, torque, dt):
+        """Add the loss of half a step by damping with the present velocities, once for each clump."""
+        if self.particles.id[i] == self.particles.clump[i]:
+            power = force.dot(self.particles.clump_velocity[i])
+            power += torque.dot(ti.cast(self.particles.angular_velocity[i], self.exact))
+            self.damping.add_power(chunk, ti.cast(power, ti.f64), dt)
 
     @ti.func
     def _set_position(self, chunk, i, center_displacement, arm, displacement, pose, dt):

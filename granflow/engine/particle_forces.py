@@ -249,6 +249,11 @@ class Damping:
         if ti.static(self.features.rotation):
             angular_velocity = ti.cast(self.particles.angular_velocity[i], ti.f64)
             power += ti.cast(self.particles.damping_torque[i], ti.f64).dot(angular_velocity)
+        self.add_power(chunk, power, dt)
+
+    @ti.func
+    def add_power(self, chunk, power, dt):
+        """Add the loss of half a step with this power [W] of the damping forces, which is negative."""
         # Added once, this counts as half of the loss of a step (`sums.SHARES` is 2): the other half is added
         # with the force at the other end of the step.
         value = -ti.cast(self.high_words_per_joule(), ti.f64) * ti.cast(dt, ti.f64) * power

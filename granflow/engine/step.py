@@ -369,9 +369,13 @@ class TimeStep:
         else:
             force = self._with_body_forces(chunk, i, force, gravity, dt)
         if ti.static(self.features.damping != "none"):
-            damping_force, damping_torque = self.damping.forces(chunk, i, force, torque, dt)
-            force += damping_force
-            torque += damping_torque
+            is_damped = True
+            if ti.static(self.features.clumps):  # the damping of a clump is added to the sum over its spheres
+                is_damped = self.particles.clump[i] < 0
+            if is_damped:
+                damping_force, damping_torque = self.damping.forces(chunk, i, force, torque, dt)
+                force += damping_force
+                torque += damping_torque
         self.particles.force[i] = force
         if ti.static(self.features.rotation):
             self.particles.torque[i] = torque

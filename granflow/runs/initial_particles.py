@@ -118,7 +118,8 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     ]
     if other_clumps:
         raise SceneError(other_clumps)
-    gravity = np.array(before.gravity)
+    stage_times = checkpoint.saved["stage_progress"]["stage_times"]
+    gravity = before.gravity_course(stage_times).at(np.array([checkpoint.time]))[0]
     found = {
         name: _particles_of_group(group, checkpoint, names.index(name), gravity)
         for name, group in shared.items()
@@ -154,8 +155,8 @@ def _same_body(first: ClumpBody | None, second: ClumpBody | None) -> bool:
 def _particles_of_group(
     group: SceneGroup, checkpoint: Checkpoint, number: int, gravity: np.ndarray
 ) -> ParticleData:
-    """Return the particles of group `number` of the earlier scene, with its gravity (3,) [m/s2], ordered by
-    id."""
+    """Return the particles of group `number` of the earlier scene, ordered by id; gravity (3,) [m/s2] at the
+    time of the checkpoint."""
     saved = checkpoint.saved["engine"]
     particles = saved["particles"]
     order = np.argsort(particles["id"], kind="stable")

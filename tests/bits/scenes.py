@@ -133,7 +133,7 @@ VISCOUS_BRIDGES = {"law": "capillary", **VISCOUS}
 
 def wet_clumps() -> Scene:
     """Rods, tetrahedra and spheres with viscous bridges of fixed volume fall into a box that is periodic along x;
-    rain of clumps; gravity jumps to a table."""
+    rain of clumps; damping; gravity jumps to a table."""
     rng = np.random.default_rng(8)
     sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
     velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
@@ -155,7 +155,7 @@ def wet_clumps() -> Scene:
         pair={"friction": 0.4, "restitution": 0.4, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
         gravity=[0.0, 0.0, -100.0], numerics={"chunk_size": 32, "max_overlap": 0.2},
         stages=[{"name": "fall", "duration": 0.006}, {"name": "tilted", "duration": 0.006, "gravity": tilted}],
-        run={"velocity_max": 4.0, "time_step": 2e-6},
+        run={"velocity_max": 4.0, "time_step": 2e-6}, damping={"cundall": 0.1, "drag": 2.0},
         output={"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.001, "keep": 100}},
     )  # fmt: skip
 
@@ -199,9 +199,10 @@ def conducting() -> Scene:
 
 
 def disturb(simulation: Simulation) -> None:
-    """Change velocities of mobile particles and delete every seventh particle from Python."""
+    """Change velocities of mobile spheres and delete every seventh particle from Python, of clumps all
+    spheres."""
     particles = simulation.particles
-    mobile = np.flatnonzero(np.asarray(particles.group) != "row")
+    mobile = np.flatnonzero(~np.isin(particles.group, ["row", "rods"]))
     particles.velocity[mobile[::2]] += [0.1, 0.0, -0.2]
     particles.remove(np.arange(len(particles)) % 7 == 0)
 
@@ -273,7 +274,9 @@ QUICK = {
             "gravity_work",
         ),
     ),
-    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count", "gravity_work")),
+    "clumps": Row(
+        wet_clumps, ("rotational_energy", "contact_count", "gravity_work", "damping_dissipation")
+    ),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
     "heat": Row(
         conducting,
@@ -312,6 +315,7 @@ SLOW = {
             complex_scene(0.009, of_groups={"liquid_content": 0.01}, **LIQUID), liquid_content=0.02
         ),
         ("liquid_bridge_volume",),
+        disturb,
         on_ranks=False,
     ),
     "linear": Row(

@@ -102,6 +102,58 @@ def test_rod_that_hits_a_plate_has_the_velocities_of_the_impulse(taichi_f64, ang
     assert found == pytest.approx((impulse / mass, -arm * impulse / inertia), rel=allowed)
 
 
+def damped_rods(cundall, drag, gravity):
+    """Snapshots of a free rod that flies and tumbles, and of a rod that falls on a plate and comes to rest."""
+    free = clump_group(
+        [[0.0, 0.0, 0.5]], ASYMMETRIC, velocity=[0.3, -0.2, 0.1], angular_velocity=[4.0, 30.0, -8.0]
+    )
+    falling = clump_group([[0.2, 0.0, 0.004]], orientation=about([0, 1, 0], 20))
+    scene = build_scene(
+        {"free": free, "falling": falling}, {"plate": plane([0, 0, 0], [0, 0, 1], "plate")},
+        pairs={"glass-plate": {"restitution": 0.6, "friction": 0.3}},
+        materials=dict.fromkeys(("glass", "plate"), {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY}),
+        gravity=[0.0, 0.0, -gravity], run={"duration": 0.1, "velocity_max": 1.0, "time_step": 1e-5},
+        output={"interval": 1.0, "energy_budget": True}, damping={"cundall": cundall, "drag": drag},
+    )  # fmt: skip
+    return run_and_sample(scene, 0.01, threads=1)
+
+
+NONE = 1e-14
+"""Damping without effect."""
+
+
+def test_drag_decays_velocity_and_angular_momentum_of_clumps(taichi_f64):
+    """A step changes both by (1 - h) / (1 + h), h = g dt / 2: the rate is wrong by h^2 / 3."""
+    rate = 20.0
+    snapshots = damped_rods(NONE, rate, 0.0)
+    for each in snapshots:
+        for name in ("clump_velocity", "clump_angular_momentum"):
+            expected = np.exp(-rate * each.time) * snapshots[0].particles[name][0]
+            assert each.particles[name][0] == pytest.approx(expected, rel=(0.5 * rate * 1e-5) ** 2), name
+    assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-6
+    assert snapshots[-1].totals["damping_dissipation"] > 0.9 * snapshots[0].totals["kinetic_energy"]
+
+
+def test_cundall_damping_reduces_the_fall_of_clumps_and_brings_them_to_rest(taichi_f64):
+    """Free fall has the acceleration (1 - a) g downwards and (1 + a) g upwards; a rod on a plate comes to rest.
+
+    Without damping of its rotation, the rod would rock on both ends for much longer.
+    """
+    ratio = 0.6
+    snapshots = damped_rods(ratio, NONE, 9.81)
+    up = 0.1 / (9.81 * (1.0 + ratio))
+    expected = 9.81 * (1.0 - ratio) * (snapshots[-1].time - up)
+    assert -snapshots[-1].particles["clump_velocity"][0, 2] == pytest.approx(expected, rel=1e-3)
+    assert np.array_equal(
+        snapshots[-1].particles["clump_angular_momentum"][0],
+        snapshots[0].particles["clump_angular_momentum"][0],
+    ), "without torque there is no damping"
+    spins = [np.abs(each.particles["angular_velocity"][-1]).max() for each in snapshots]
+    assert max(spins) > 5.0 and spins[-1] < 0.02 * max(spins)
+    assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
+    assert snapshots[-1].totals["damping_dissipation"] > 0.0
+
+
 def test_an_adaptive_time_step_gives_the_impact_of_a_fixed_one(taichi_f64):
     """A tilted rod that falls on a plate: free flight takes longer steps, and the rebound is the same."""
     group = clump_group(

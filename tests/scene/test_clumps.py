@@ -50,9 +50,6 @@ EXCLUDED = {
     "`diameter`, `radius` of the group": (
         {"diameter": 0.004}, {}, "particles.rods.diameter is 0.004, but the spheres of the clump define the sizes"
     ),
-    "`damping`": (
-        {}, {"damping": {"cundall": 0.5}}, "damping cannot be combined with the clumps of particles.rods"
-    ),
     "`domain.lees_edwards`": (
         {}, {"walls": {}, "domain": SHEARED}, "domain.lees_edwards cannot be combined with the clumps"
     ),

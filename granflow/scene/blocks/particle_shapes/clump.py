@@ -193,14 +193,12 @@ class Clump(Model, ParticleShape):
             yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {others}")
 
     def faults_in_scene(self, scene: Any, group: str) -> Iterator[Fault]:
-        """Clumps exclude sheared boxes and damping of all motion."""
-        clumps = f"cannot be combined with the clumps of particles.{group}"
-        if scene.damping is not None:
-            yield whole(("damping",), f"{clumps}: it acts on single spheres; remove one of the two")
+        """Clumps exclude sheared boxes."""
         if scene.domain.lees_edwards is not None:
             yield whole(
                 ("domain", "lees_edwards"),
-                f"{clumps}, which cross no sheared boundary; remove one of the two",
+                f"cannot be combined with the clumps of particles.{group}, which cross no sheared boundary; "
+                "remove one of the two",
             )
 
     # Warnings: a sphere that occurs twice, and gaps between the spheres
