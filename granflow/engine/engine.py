@@ -78,6 +78,8 @@ TIME_TOLERANCE = 1e-6
 """Tolerance for reaching a requested time, as a fraction of the time step."""
 MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque", *CLUMP_MOTION)
 """Fields that determine the mechanical energy at the time of the positions."""
+SHIFTED = ("velocity", "angular_velocity", "clump_velocity", "clump_angular_momentum")
+"""Fields that are half a step behind the positions."""
 CONTACT_COUNTS = ("coordination_number", "wall_contact_count")
 """Fields with the number of contacts of each particle."""
 
@@ -236,9 +238,7 @@ class Engine:
 
         new:        particles at the present time
         time_step:  of all further steps [s]; None: the present one
-        Raises:     GranflowError for a scene with clumps
         """
-        self._refuse_with_clumps("Particles from Python")
         state = self.state
         state.count = 0
         state.control.clear_abort()
@@ -304,26 +304,17 @@ class Engine:
     def begin_change(self) -> None:
         """Prepare a change of the particles: shift all velocities to the time of the positions.
 
-        The next `refresh` shifts them back, and counts the change of all energies as inserted. Raises
-        GranflowError for a scene with clumps.
+        The next `refresh` shifts them back, and counts the change of all energies as inserted.
         """
-        self._refuse_with_clumps("Changes of particles and forces from Python")
         if self.energy_before_change is not None:
             return
         self._counts_contacts = self.timing.rebuild_count > 0
         arrays = self.synchronized(MOTION)
         self.energy_before_change = self._stored_energy(arrays)
         if self._velocities_lag:
-            motion = {
-                name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")
-            }
+            motion = {name: values for name, values in arrays.items() if name in SHIFTED}
             write_particles(self.state, np.arange(self.state.count), motion)
             self._velocities_lag = False
-
-    def _refuse_with_clumps(self, what: str) -> None:
-        """Raise GranflowError for a scene with clumps; `what`: subject of the message, in the plural."""
-        if self.plan.features.clumps:
-            raise GranflowError(f"{what} are not possible in a scene with clumps.")
 
     def refresh(self) -> None:
         """Rebuild the neighbor list and compute the forces after particles or walls were added or removed.

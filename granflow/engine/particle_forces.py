@@ -29,8 +29,9 @@ from granflow.plan.sum_units import LOSS_DAMPING, LOSSES, UNIT_ENERGY
 #     v'  = v(t - dt/2) + dt/2 (F + D(F)) / m
 #     v'' = v(t - dt/2) + dt/2 (F + f(v') + D(F + f(v'))) / m,      f = f(x(t), v'', t)
 #
-# which is of second order in dt for velocity-dependent forces. The work of a step is the mean of the forces
-# at its ends times the displacement:
+# which is of second order in dt for velocity-dependent forces. The motion of a sphere of a clump depends on
+# the forces on the other spheres: v'' is then the velocity half a step before, and the force is of first
+# order. The work of a step is the mean of the forces at its ends times the displacement:
 #
 #     W = dt v(t + dt/2) . [f(t) + f(t + dt)] / 2
 
@@ -72,6 +73,8 @@ class ExternalForces:
         if ti.static(self.features.damping != "none"):
             total = force + self.damping.of(force, self.particles.velocity[i], self.particles.mass[i])
         share = self.particles.mobility(i)
+        if ti.static(self.features.clumps):
+            share *= ti.cast(self.particles.clump[i] < 0, self.real)
         lag = share * ti.cast(self.control.force_clock[3], self.real) / self.particles.mass[i]
         return self.particles.velocity[i] + lag * total
 

@@ -160,6 +160,11 @@ class TimeStep:
                 displacement = 0.0 * self.particles.position[i]
                 if self.particles.clump[i] >= 0:
                     displacement = self.clumps.move(chunk, i, pose, dt)
+                    if ti.static(self.features.external_forces and self.features.energy_budget):
+                        velocity = self.particles.velocity[i]
+                        self.external_forces.add_work(
+                            chunk, i, self.particles.external_force[i], velocity, dt
+                        )
                 else:
                     displacement = self._kick_and_drift(chunk, i, gravity, shift, pose, dt)
                 self._check_limits(i, displacement, limit_squared, per_unit)

@@ -227,8 +227,6 @@ def plan_with_forces(plan: Plan, forces: Sequence[ParticleForce], backend: Backe
     valid."""
     if not forces:
         return plan
-    if plan.features.clumps:
-        raise GranflowError("Forces from Python are not possible in a scene with clumps: leave forces out.")
     refuse_invalid(forces)
     for force in forces:
         check_compiled(force, backend, 0.0)

@@ -259,7 +259,11 @@ class LiveParticles:
 
     @property
     def force(self) -> ParticleArray:
-        """Total forces (n, 3) [N], weight included, at the present positions. Read-only."""
+        """Total forces (n, 3) [N] at the present positions, with the weight, but on spheres of clumps without
+        it.
+
+        Read-only.
+        """
         return ParticleArray(self, "force", self._force)
 
     @property
@@ -329,7 +333,10 @@ class LiveParticles:
         return np.arange(first, first + len(new))
 
     def remove(self, mask: Any) -> None:
-        """Remove the particles of a mask (n,), or of indices (k,) into the arrays; ids: see `rows`."""
+        """Remove the particles of a mask (n,), or of indices (k,) into the arrays; ids: see `rows`.
+
+        Of a clump, all spheres are removed.
+        """
         engine = self._engine
         indices = present_indices(engine.state)
         try:
@@ -340,9 +347,29 @@ class LiveParticles:
             ) from None
         if np.size(removed):
             engine.begin_change()
-            removed = np.unique(removed)
+            removed = self._with_clumps(np.unique(removed), indices)
             engine.accounting.count_removed(self._masses(removed))
             remove_particles(engine.state, removed)
+
+    def _with_clumps(self, chosen: np.ndarray, present: np.ndarray) -> np.ndarray:
+        """Device indices `chosen`, with all spheres of their clumps; `present`: of all particles."""
+        if not self._engine.plan.features.clumps:
+            return chosen
+        clump = self._engine.copied(("clump",))["clump"]
+        found = clump[chosen]
+        others = np.isin(clump[present], found[found >= 0])
+        return np.union1d(chosen, present[others])
+
+    def _refuse_in_clumps(self, name: str, rows: np.ndarray) -> None:
+        """Raise GranflowError if one of the particles, indices (k,) into the arrays, is in a clump."""
+        if not self._engine.plan.features.clumps:
+            return
+        clump = self._field("clump")[rows]
+        if np.any(clump >= 0):
+            raise GranflowError(
+                f"particles.{name}: particle {np.asarray(self.id)[rows][clump >= 0][0]} is a sphere of a "
+                "clump, which moves as one body; leave those of clumps unchanged."
+            )
 
     def _masses(self, indices: np.ndarray) -> np.ndarray:
         return self._engine.copied(("mass",))["mass"][indices]
@@ -386,7 +413,6 @@ class LiveParticles:
     def _write(self, name: str, values: np.ndarray, **others: np.ndarray) -> None:
         """Write the entries of a field that differ from the present ones, and other fields with it."""
         engine = self._engine
-        engine.begin_change()
         if name == "radius":
             present = np.asarray(self.diameter)
             compared = 2.0 * values
@@ -394,6 +420,8 @@ class LiveParticles:
             present = np.asarray(getattr(self, name))
             compared = values
         rows = np.flatnonzero((present != compared).reshape(len(present), -1).any(axis=1))
+        self._refuse_in_clumps("diameter" if name == "radius" else name, rows)
+        engine.begin_change()
         if name in engine.accounting.contents_set:
             set_property(
                 engine.state, engine.accounting, name, present_indices(engine.state)[rows], values[rows]
@@ -470,6 +498,11 @@ class LiveParticles:
                 "particles.group: the new group must have the same material, and be mobile or fixed in the "
                 "same way."
             )
+        shapes = np.array([group.spec.shape.body is not None for group in groups])
+        changed = np.flatnonzero(numbers != self._numbers("group"))
+        self._refuse_in_clumps("group", changed)
+        if np.any(shapes[numbers[changed]]):
+            raise GranflowError("particles.group: a sphere cannot change to a group of clumps.")
         if self._engine.plan.features.wall_groups:
             self._write("group", values, group=numbers)
         self._engine.accounting.set_group(self._field("id"), numbers)
@@ -524,6 +557,11 @@ def particle_data(
     count = _particle_count(position)
     number = _group_number(plan, material, group)
     chosen = plan.groups[number]
+    if chosen.spec.shape.body is not None:
+        raise GranflowError(
+            f"group is {chosen.name}, whose particles are clumps, but particles.add has spheres: insert "
+            "clumps by the scene."
+        )
     position = array_of("position", position, count, 3)
     in_domain(plan, "position", position)
     velocity = array_of("velocity", velocity, count, 3)

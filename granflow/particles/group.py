@@ -108,6 +108,8 @@ class ParticleData:
         shape = np.shape(self.radius)
         vectors = ("position", "velocity", "angular_velocity")
         expected = dict.fromkeys(("radius", "material", "group"), shape) | dict.fromkeys(vectors, (*shape, 3))
+        if self.orientation is not None:
+            expected["orientation"] = (*shape, 4)
         for name, wanted in expected.items():
             values = getattr(self, name)
             if not isinstance(values, np.ndarray) or values.dtype.kind not in "iuf" or len(shape) != 1:

@@ -50,10 +50,6 @@ def warnings_before(plan: Plan, initial: ParticleData | None) -> list[str]:
 def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
     """Raise GranflowError for particles that are not those of the groups, for which the plan was made."""
     count = len(given)
-    if plan.features.clumps:
-        raise GranflowError(
-            "Particles from Python are not possible in a scene with clumps: leave particles out."
-        )
     for name, limit in (("group", len(plan.groups)), ("material", len(plan.scene.materials))):
         values = getattr(given, name)
         if values.shape != (count,) or np.any((values < 0) | (values >= limit)):
@@ -66,14 +62,39 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
             )
         if np.any(given.material[own] != group.material_number):
             raise GranflowError(f"particles.material is not {group.spec.material} for all of {group.name}.")
-    if count and not plan.radius_min <= given.radius.min() <= given.radius.max() <= plan.radius_max:
+    bodies = {number: body for number, group in enumerate(plan.groups) if (body := group.spec.shape.body)}
+    radius = given.radius[~np.isin(given.group, list(bodies))]
+    if len(radius) and not plan.radius_min <= radius.min() <= radius.max() <= plan.radius_max:
         raise GranflowError(
-            f"particles.radius lies in [{given.radius.min():.6g}, {given.radius.max():.6g}] m, but those of "
+            f"particles.radius lies in [{radius.min():.6g}, {radius.max():.6g}] m, but those of "
             f"the scene in [{plan.radius_min:.6g}, {plan.radius_max:.6g}] m."
         )
+    for number, body in bodies.items():
+        _refuse_other_clumps(plan.groups[number].name, body, given, given.group == number)
     for name in ("position", "velocity", "angular_velocity"):
         if getattr(given, name).shape != (count, 3) or not np.isfinite(getattr(given, name)).all():
             raise GranflowError(f"particles.{name} is not an array ({count}, 3) of finite numbers.")
+
+
+def _refuse_other_clumps(name: str, body: ClumpBody, given: ParticleData, own: np.ndarray) -> None:
+    """Raise GranflowError for clumps without orientations, or of another size than their body.
+
+    own:  (n,) which of the particles are these clumps
+    """
+    if not own.any():
+        return
+    if given.orientation is None:
+        raise GranflowError(
+            f"particles.orientation is missing: {name} has clumps; give unit quaternions ({len(given)}, 4)."
+        )
+    length = np.linalg.norm(given.orientation[own], axis=1)
+    if not np.all(np.abs(length - 1.0) < ROUNDING):
+        raise GranflowError(f"particles.orientation has quaternions of {name} whose length is not 1.")
+    if not np.allclose(given.radius[own], body.outer_radius, rtol=ROUNDING, atol=0.0):
+        raise GranflowError(
+            f"particles.radius of {name} must be {body.outer_radius:.10g} m, that of the sphere around the "
+            "center of mass that contains the clump."
+        )
 
 
 # Initial particles of a new run from the last state of an earlier run: `start_from:` of a scene.

@@ -274,9 +274,7 @@ QUICK = {
             "gravity_work",
         ),
     ),
-    "clumps": Row(
-        wet_clumps, ("rotational_energy", "contact_count", "gravity_work", "damping_dissipation")
-    ),
+    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count", "gravity_work", "damping_dissipation")),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
     "heat": Row(
         conducting,

@@ -3,17 +3,21 @@
 All scenes but the periodic ones have one compiled structure. Clumps in mixed precision: `test_precisions`.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import taichi as ti
 from clumps import ROD, about, clump_group
 from scene_builders import box, build_scene, particle_group, plane, run_and_sample, run_to_end
 
 from granflow.errors import GranflowError, RunError, SceneError
 from granflow.geometry.clump import matrices
 from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
+from granflow.live.forces import ParticleForce
 from granflow.load import Scene
 from granflow.observers.coarse_graining import accumulate, of_bodies
-from granflow.particles.group import ParticleData
+from granflow.particles.insertion import initial_particles
 from granflow.simulation import Simulation
 
 FRICTION = {"friction": 0.4, "restitution": 0.4}
@@ -188,7 +192,7 @@ def test_outlets_delete_whole_clumps(taichi_f64):
     assert abs(last.totals["energy_error"]) < 9.81 * step / np.sqrt(2 * 9.81 * 0.02)
 
 
-def test_an_abort_names_the_clumps_and_changes_from_python_are_refused(taichi_f64):
+def test_an_abort_names_the_clumps(taichi_f64):
     """Two rods of four spheres, side by side, overlap by a quarter of the radius; ids and clumps as in
     frames."""
     rods = {
@@ -196,18 +200,109 @@ def test_an_abort_names_the_clumps_and_changes_from_python_are_refused(taichi_f6
         for material, y in (("glass", 0.0), ("steel", 3.5e-3))
     }
     with Simulation(small_scene(rods), threads=1) as simulation:
-        message = "Changes of particles and forces from Python are not possible in a scene with clumps"
-        with pytest.raises(GranflowError, match=message):
-            simulation.particles.velocity[:] = [0.0, 0.0, 1.0]
-        with pytest.raises(GranflowError, match=message):
-            simulation.particles.remove(np.arange(8) == 0)
-        with pytest.raises(GranflowError, match="Particles from Python are not possible in a scene with clu"):
-            simulation.restart(
-                ParticleData(*np.zeros((3, 1, 3)), np.full(1, 1e-3), *np.zeros((2, 1), np.int32))
-            )
         overlap = r"particle \d of clump [04] \(.*overlaps with particle \d of clump [04] \("
         with pytest.raises(RunError, match=overlap):
             simulation.run()
+
+
+def free_scene(**parts):
+    """Two spinning rods, a steel one, and two spheres in free fall without contacts."""
+    sites = np.array([[0.0, 0.0, 0.1], [0.05, 0.0, 0.1]])
+    spin = [[30.0, -20.0, 50.0], [0.0, 40.0, 10.0]]
+    groups = {
+        "rods": clump_group(
+            sites, orientation="random", velocity=[[0.1, 0.0, 0.2]] * 2, angular_velocity=spin
+        ),
+        "steel": clump_group([[0.1, 0.0, 0.1]], material="steel"),
+        "balls": particle_group(sites + [0.0, 0.1, 0.0], 0.005),
+    }
+    return small_scene(
+        groups, gravity=[0.0, 0.0, -9.81], run={"duration": 0.02, "velocity_max": 2.0, "time_step": 1e-5}, **parts
+    )  # fmt: skip
+
+
+def test_programs_remove_clumps_and_change_spheres_beside_them(taichi_f64):
+    """The clumps that remain continue their motion, and the energy budget has the change."""
+    whole, _ = run_to_end(free_scene(), threads=1)
+    with Simulation(free_scene(), threads=1) as simulation:
+        simulation.run(until=0.01)
+        particles = simulation.particles
+        for name, values in (("velocity", 1.0), ("position", 0.3), ("diameter", 0.0045), ("group", "balls")):
+            with pytest.raises(
+                GranflowError, match=rf"particles.{name}: particle 3 is a sphere of a clump, wh"
+            ):
+                getattr(particles, name)[3] = values
+        with pytest.raises(
+            GranflowError, match="group is steel, whose particles are clumps, but particles.add"
+        ):
+            particles.add([0.0, 0.3, 0.3], group="steel")
+        particles.remove([2])
+        particles.velocity[particles.group == "balls"] += [0.0, 0.5, 0.0]
+        assert np.asarray(particles.id).tolist() == [*range(4, 14)]
+        simulation.run()
+        last = simulation.snapshot()
+    for name in ("position", "velocity", "angular_velocity", "clump_angular_momentum"):
+        expected = whole.particles[name][4:12]
+        assert last.particles[name][:8] == pytest.approx(expected, abs=1e-12 * np.abs(expected).max()), name
+    assert last.particles["velocity"][8:, 1] == pytest.approx(0.5)
+    assert last.totals["particle_count"] == 10 and last.totals["kinetic_energy"] > 0.0
+    assert abs(last.totals["energy_error"]) < 1e-6
+
+
+def test_particles_from_python_with_orientations_are_those_of_the_scene(taichi_f64):
+    scene = free_scene()
+    given = initial_particles(scene)
+    with Simulation(scene, threads=1) as simulation:
+        first = simulation.snapshot()
+        simulation.run(until=0.001)
+        simulation.restart(given)
+        again = simulation.snapshot()
+        with pytest.raises(
+            GranflowError, match=r"particles.orientation is missing: rods has clumps; give unit"
+        ):
+            simulation.restart(replace(given, orientation=None))
+        with pytest.raises(GranflowError, match="has quaternions of rods whose length is not 1"):
+            simulation.restart(replace(given, orientation=2.0 * given.orientation))
+        with pytest.raises(
+            GranflowError, match=r"particles.radius of rods must be 0.005 m, that of the sphere"
+        ):
+            simulation.restart(replace(given, radius=np.where(given.group == 0, 1.1, 1.0) * given.radius))
+    for name in ("id", "position", "velocity", "orientation", "clump_angular_momentum"):
+        assert np.array_equal(first.particles[name], again.particles[name]), name
+
+
+def pushed(position, velocity, radius, mass, time, parameters):
+    """A force along y that grows with x, and a resistance."""
+    along_y = mass * (parameters.gradient * position[0] - parameters.rate * velocity[1])
+    return ti.Vector([0.0 * along_y, along_y, 0.0 * along_y])
+
+
+def test_forces_from_python_turn_clumps_and_do_work_on_them(taichi_f64):
+    """A rod along x, with the force m (k x - c v_y) e_y on each sphere: in a short time t, without resistance,
+    w_z = k t sum(m x^2) / I_z, and with it the velocity k X (1 - exp(-c t)) / c of a rod at X, to first order.
+    """
+    gradient, rate = 1000.0, 50.0
+    groups = {
+        "middle": clump_group([[0.0, 0.0, 0.1]]),
+        "far": clump_group([[0.2, 0.3, 0.1]], material="steel"),
+    }
+    scene = small_scene(groups, run={"duration": 0.01, "velocity_max": 4.0, "time_step": 1e-5})
+    forces = [ParticleForce(pushed, {"gradient": gradient, "rate": 0.0}, name="pushed")]
+    with Simulation(scene, threads=1, forces=forces) as simulation:
+        simulation.run(until=1e-3)
+        short = simulation.snapshot()
+        forces[0].parameters["rate"] = rate
+        simulation.run()
+        last = simulation.snapshot()
+    mass, arm = short.particles["mass"][:4], np.array(ROD)[:, 0]
+    expected = gradient * short.time * mass @ arm**2 / short.particles["clump_inertia"][0, 2]
+    assert short.particles["angular_velocity"][0] == pytest.approx([0.0, 0.0, expected], rel=1e-3, abs=1e-9)
+    begin = gradient * 0.2 * short.time
+    decay = np.exp(-rate * (last.time - short.time))
+    expected = begin * decay + gradient * 0.2 * (1.0 - decay) / rate
+    assert last.particles["clump_velocity"][4, 1] == pytest.approx(expected, rel=2.0 * rate * 1e-5)
+    kinetic = last.totals["kinetic_energy"] + last.totals["rotational_energy"]
+    assert last.totals["external_work"] == pytest.approx(kinetic, rel=1e-6)
 
 
 def periodic_rods(positions, duration, **motion):

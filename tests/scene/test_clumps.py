@@ -58,10 +58,8 @@ EXCLUDED = {
     ),
 }  # fmt: skip
 """What clumps exclude, as in the table of the guide: changes of the group and of the scene, and the message."""
-OF_PROGRAMS = {
-    "changes of particles from Python", "forces from Python", "initial particles from Python",
-}  # fmt: skip
-"""Further rows of the table; `tests/engine` and `tests/api` have their messages."""
+OF_PROGRAMS = {"`particles.add`, and other values of spheres of clumps, from Python"}
+"""Further rows of the table; `tests/engine` has their messages."""
 INVALID = [
     ({"clump": {"spheres": SPHERES, "orientation": [about([0, 0, 1], 10)] * 2}},
      "particles.rods.clump.orientation is a list of length 2, but insert.positions has length 1"),
