@@ -53,6 +53,10 @@ EXCLUDED = {
     "`domain.lees_edwards`": (
         {}, {"walls": {}, "domain": SHEARED}, "domain.lees_edwards cannot be combined with the clumps"
     ),
+    "`kind: stress` of `output.metrics`": (
+        {}, {"output": {"interval": 1.0, "metrics": {"all": {"kind": "stress"}}}},
+        "output.metrics.all.kind is stress, but particles.rods are clumps, for which it is not implemented",
+    ),
     "`contact.heat`": (
         {"temperature": 300.0}, WARM, "particles.rods.clump cannot be combined with an equation of the temperature"
     ),
