@@ -161,8 +161,8 @@ def test_wet_particle_shares_geometrically_with_dry_ones_that_touch_it_in_turn(t
 
 
 def test_spheres_of_clumps_have_films_and_bridges_to_other_bodies_only(taichi_f64):
-    """The lower one of three spheres of a rod hits a fixed particle: it gives and gets liquid, the others keep
-    their film.
+    """The lower one of three spheres of a rod hits a fixed particle, and 0.1 ms later a second one beside it: it
+    gives and gets liquid, the others keep their film.
 
     The films of a clump have the content of its volume, in which overlapping regions count once.
     """
@@ -173,20 +173,25 @@ def test_spheres_of_clumps_have_films_and_bridges_to_other_bodies_only(taichi_f6
         [[0, 0, height]], centers, 0.5 * DIAMETER, velocity=[0, 0, -0.2], liquid_content=CONTENT
     )
     fixed = particle_group([[0, 0, ABOVE]], DIAMETER, liquid_content=0.5 * CONTENT) | {"fixed": True}
-    scene = few_wet({"rod": rod, "fixed": fixed})
+    aside = [5e-4, 0.0, ABOVE + DIAMETER - 2e-5 - math.sqrt(DIAMETER**2 - 5e-4**2)]
+    second = particle_group([aside], DIAMETER, liquid_content=0.2 * CONTENT) | {"fixed": True}
+    scene = few_wet({"rod": rod, "fixed": fixed, "second": second})
     film = CONTENT * body.volume / 3.0
-    other = 0.5 * CONTENT * SPHERE
+    other, another = 0.5 * CONTENT * SPHERE, 0.2 * CONTENT * SPHERE
+    rest = 1.0 - EQUAL
     before, _ = run_to_end(scene, 0.00005)
-    np.testing.assert_allclose(films_of(before), [film, film, film, other], rtol=1e-12)
+    np.testing.assert_allclose(films_of(before), [film, film, film, other, another], rtol=1e-12)
     assert before.totals["liquid_bridge_volume"] == 0.0
-    touching, _ = run_to_end(scene, 0.0002)
-    assert touching.totals["contact_count"] == 1
+    touching, _ = run_to_end(scene, 0.00025)
+    assert touching.totals["contact_count"] == 2
     np.testing.assert_allclose(
-        films_of(touching), [film * (1.0 - EQUAL), film, film, other * (1.0 - EQUAL)], rtol=1e-12
+        films_of(touching), [film * rest**2, film, film, other * rest, another * rest], rtol=1e-12
     )
     after, _ = run_to_end(scene, 0.02)
-    half = 0.5 * EQUAL * (film + other)
-    expected = [film * (1.0 - EQUAL) + half, film, film, other * (1.0 - EQUAL) + half]
+    halves = 0.5 * EQUAL * np.array([film + other, film * rest + another])
+    expected = [
+        film * rest**2 + halves.sum(), film, film, other * rest + halves[0], another * rest + halves[1],
+    ]  # fmt: skip
     np.testing.assert_allclose(films_of(after), expected, rtol=1e-12)
     assert liquid(after) == liquid(touching) == liquid(before)
 
