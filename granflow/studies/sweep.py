@@ -19,11 +19,12 @@ from granflow.schema.faults import Fault
 from granflow.schema.messages import problem_at
 from granflow.studies.checked_run import CheckedRun, RunSettings, checked_run, relocated
 from granflow.studies.figures import require_pandas
+from granflow.studies.interactive_plots import level_text
 from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
 from granflow.studies.run_process import Outcome, naming_write_errors
 from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points
 from granflow.studies.sweep_page import write_sweep_page
-from granflow.studies.sweep_table import SweepTable, run_texts, shown, table_of, write_tables
+from granflow.studies.sweep_table import PointRow, SweepTable, run_texts, shown, table_of, write_tables
 from granflow.studies.yield_locus import ShearTest, evaluate, faults_in, write_loci
 
 # Runs a sweep: checks all points, carries out the missing runs, and writes tables and page.
@@ -179,16 +180,26 @@ def run_sweep(
         if sweep.content.evaluate is None:
             write_sweep_page(out, sweep.content, table)
             return table
-        table = replace(table, loci=tuple(evaluate(sweep.content.evaluate, shear_tests(table))))
+        table = replace(
+            table, loci=tuple(evaluate(sweep.content.evaluate, shear_tests(sweep.content, table)))
+        )
         figures = write_loci(out, sweep.content.evaluate, table.loci)
         write_sweep_page(out, sweep.content, table, figures)
         return table
 
 
-def shear_tests(table: SweepTable) -> list[ShearTest]:
+def shear_tests(sweep: SweepInput, table: SweepTable) -> list[ShearTest]:
     """The runs of a sweep that have reached their end."""
+    in_units = shown(sweep, table)
+
+    def texts(row: PointRow) -> dict[str, str]:
+        return {
+            name: f"{level_text(in_units.value(row, name))} {in_units.units[name]}".strip()
+            for name in table.parameters
+        }
+
     return [
-        ShearTest(row.point.values, each.run.seed, each.run.directory)
+        ShearTest(row.point.values, each.run.seed, each.run.directory, texts(row))
         for row in table.rows
         for each in row.runs
         if each.run is not None and each.outcome.has_numbers

@@ -148,11 +148,13 @@ not increase any more."""
 
 
 class ShearTest(NamedTuple):
-    """One run of the sweep that has reached its end: values of its parameters, seed, directory."""
+    """One run of the sweep that has reached its end: values of its parameters in SI units, seed, directory,
+    and the values as texts with the units of the sweep file."""
 
     values: Mapping[str, Any]
     seed: int
     directory: Path
+    texts: Mapping[str, str]
 
 
 @dataclass
@@ -395,6 +397,11 @@ class Locus:
     remarks: list[str] = field(default_factory=list)
 
     @property
+    def texts(self) -> dict[str, str]:
+        """The values as texts with units."""
+        return {name: self.points[0].run.texts[name] for name in self.values}
+
+    @property
     def used(self) -> list[ShearPoint]:
         """The points of the line."""
         return [each for each in self.points if each.is_used]
@@ -611,7 +618,7 @@ def shown_table(loci: Sequence[Locus]) -> PageTable:
             strength += f" ± {error:.2g}"
         rows.append(
             [
-                *(f"{value:g}" if isinstance(value, float) else str(value) for value in each.values.values()),
+                *each.texts.values(),
                 _shown(n["preshear_normal_stress"] / KILO),
                 _shown(n["preshear_shear_stress"] / KILO),
                 _shown(n["cohesion"] / KILO),
@@ -635,21 +642,18 @@ def remarks_of(loci: Sequence[Locus]) -> list[str]:
     """Sentences on the yield loci and on their points, each with the values of its parameters."""
     found = []
     for locus in loci:
-        name = _named(locus.values)
+        name = _named(locus.texts)
         found += [f"{name}{remark}." for remark in locus.remarks]
         for point in locus.points:
             state = "" if point.is_used else " (left out)"
-            found += [f"{_named(point.run.values, state)}{remark}." for remark in point.remarks]
+            found += [f"{_named(point.run.texts, state)}{remark}." for remark in point.remarks]
     return list(dict.fromkeys(found))
 
 
-def _named(values: Mapping[str, Any], state: str = "") -> str:
+def _named(texts: Mapping[str, str], state: str = "") -> str:
     """Values of parameters before a remark."""
-    texts = [
-        f"{name.rpartition('.')[2]} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
-        for name, value in values.items()
-    ]
-    return f"{', '.join(texts)}{state}: " if texts else ""
+    found = ", ".join(f"{name.rpartition('.')[2]} = {text}" for name, text in texts.items())
+    return f"{found}{state}: " if found else ""
 
 
 def figures_of(evaluation: YieldLocusEvaluation, loci: Sequence[Locus]) -> dict[str, Drawing]:
@@ -670,7 +674,7 @@ def flow_functions(
     groups: dict[str, list[YieldLocus]] = {}
     for locus in loci:
         if locus.line is not None and evaluation.parameters.preshear is not None:
-            others = {k: v for k, v in locus.values.items() if k != evaluation.parameters.preshear}
+            others = {k: v for k, v in locus.texts.items() if k != evaluation.parameters.preshear}
             groups.setdefault(_named(others).rstrip(": "), []).append(locus.line)
     found = {}
     for name, lines in groups.items():
@@ -700,7 +704,7 @@ def _draw_loci(figure: Any, loci: Sequence[Locus]) -> None:
         sigma, tau = locus.preshear
         axes.plot(
             sigma / KILO, tau / KILO, color=color, marker="s", markersize=4.5, linestyle="none",
-            label=_named(locus.values).rstrip(": ") or None,
+            label=_named(locus.texts).rstrip(": ") or None,
         )  # fmt: skip
         points = [(point.normal, point.shear) for point in locus.points] + [locus.preshear]
         right, top = (float(each) for each in np.nanmax([*points, (right, top)], axis=0))

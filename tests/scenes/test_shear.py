@@ -42,7 +42,7 @@ def test_cohesionless_preshear_of_the_shear_tester_has_the_friction_of_spheres(t
     )
     assert run_shipped_scene("shear_tester", tmp_path, overrides=settings)[1] == []
     evaluation = YieldLocusEvaluation.model_validate({"wall": "lid", "parameters": {"shear": "none"}})
-    normal, shear = shear_point(evaluation, ShearTest({}, 1, tmp_path)).preshear
+    normal, shear = shear_point(evaluation, ShearTest({}, 1, tmp_path, {})).preshear
     assert normal == pytest.approx(5000.0, rel=0.01)
     low, high = np.tan(np.radians([18.9, 22.9]))
     assert low < shear / normal < high

@@ -141,7 +141,8 @@ def shear_test(folder, name, ratio, failure, steady=STEADY, preshear=None, rows=
         for t, sigma, tau in zip(k + share, normal, shear, strict=True):
             lines.append(f"{t},{stage},{-tau * AREA},0,{sigma * AREA}")
     (directory / "timeseries.csv").write_text("\n".join(lines) + "\n")
-    return ShearTest({"preshear": PRESHEAR, "ratio": ratio}, seed, directory)
+    texts = {"preshear": "5 kPa", "ratio": f"{ratio:g}"}
+    return ShearTest({"preshear": PRESHEAR, "ratio": ratio}, seed, directory, texts)
 
 
 def test_stresses_of_a_run_are_the_means_of_the_preshear_and_of_the_peak(tmp_path):
@@ -300,7 +301,7 @@ def test_sweep_of_a_small_shear_tester(tmp_path, capsys):
     path = write(tmp_path, SWEEP.replace("SCENES/shear_tester.yaml", "small.yaml"))
     main(["sweep", str(path), "--out", str(tmp_path / "out"), "--jobs", "1"])
     printed = capsys.readouterr().out
-    assert "yield loci" in printed and "two points have no error" in printed
+    assert "yield loci" in printed and "preshear = 4 kPa: two points have no error" in printed
     with (tmp_path / "out/shear_points.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["ratio"]) for row in rows] == [0.4, 0.7]
