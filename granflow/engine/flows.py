@@ -39,11 +39,12 @@ class Flows:
         laws = state.plan.laws
         self.at_distance = laws.flows_at_distance
         self.sums = [(field, state.parameter(f"per_unit.{name}")) for name, field in self._fields(laws.flows)]
-        self.laws = [
-            (slot, law, self._fields(("radius", *law.particle_properties)), self._sums_of(law.flows))
-            for slot, law in laws.by_slot.items()
-            if law.flows
+        flowing = [(slot, law) for slot, law in laws.by_slot.items() if law.flows]
+        self.slots = [(n, slot, law.at_distance) for n, (slot, law) in enumerate(flowing)]
+        self.laws = [  # each in a list of its own, for loops of one turn
+            [(slot, law, self._fields(("radius", *law.particle_properties)))] for slot, law in flowing
         ]
+        self.sums_of_law = [self._sums_of(law.flows) for _, law in flowing]
         self.radius_slot = laws.of_contact_radius
         self.radius_law = laws.by_slot[self.radius_slot]
         self.wall_of = state.built(Faces).wall_of
@@ -173,35 +174,34 @@ class Flows:
             overlap_rate=contact.overlap_rate,
             contact_radius=contact_radius,
         )
-        for slot, law, read, sums in ti.static(self.laws):
+        for n, slot, at_distance in ti.static(self.slots):
             if ti.static(not self.at_distance):
-                self._add_of_law(chunk, i, j, member(constants, slot), touching, law, read, sums, with_wall)
+                self._add_of_law(chunk, i, j, constants, touching, n, with_wall)
             else:
                 reach = 0.0 * contact.overlap
-                if ti.static(law.at_distance):
+                if ti.static(at_distance):
                     reach = member(constants, slot).range
                 if contact.overlap > -reach:
-                    self._add_of_law(
-                        chunk, i, j, member(constants, slot), touching, law, read, sums, with_wall
-                    )
+                    self._add_of_law(chunk, i, j, constants, touching, n, with_wall)
 
     @ti.func
-    def _add_of_law(
-        self,
-        chunk,
-        i,
-        j,
-        constants,
-        contact,
-        law: ti.template(),
-        read: ti.template(),
-        sums: ti.template(),
-        with_wall: ti.template(),
-    ):
-        """Add the flows of one law, with the fields that it reads and those of its sums."""
+    def _add_of_law(self, chunk, i, j, constants, contact, n: ti.template(), with_wall: ti.template()):
+        """Add the flows of law n; a law is no argument, because Quadrants would expand its fields."""
+        for slot, law, read in ti.static(self.laws[n]):
+            first = ti.Struct({name: field[i] for name, field in ti.static(read)})
+            if ti.static(with_wall):
+                wall = self._wall(self.wall_of(j))
+                flows = law.wall_flow(member(constants, slot), contact, first, wall)
+                self._add_flows(chunk, i, j, contact, flows, n, with_wall)
+            else:
+                partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
+                flows = law.flow(member(constants, slot), contact, first, partner)
+                self._add_flows(chunk, i, j, contact, flows, n, with_wall)
+
+    @ti.func
+    def _add_flows(self, chunk, i, j, contact, flows, n: ti.template(), with_wall: ti.template()):
         begin = chunk * self.chunk_size()
-        flows = self._flows_of(i, j, constants, contact, law, read, with_wall)
-        for name, field, shift in ti.static(sums):
+        for name, field, shift in ti.static(self.sums_of_law[n]):
             flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
             field[i] = field[i] + flow
             if ti.static(with_wall and name in self.wall_term):
@@ -209,16 +209,6 @@ class Flows:
                 self._add_to_wall(chunk, self.wall_of(j), self.wall_term[name], given, True)
             if j >= begin and j < begin + self.chunk_size():
                 field[j] = field[j] - flow
-
-    @ti.func
-    def _flows_of(
-        self, i, j, constants, contact, law: ti.template(), read: ti.template(), with_wall: ti.template()
-    ):
-        first = ti.Struct({name: field[i] for name, field in ti.static(read)})
-        if ti.static(with_wall):
-            return law.wall_flow(constants, contact, first, self._wall(self.wall_of(j)))
-        partner = ti.Struct({name: field[j] for name, field in ti.static(read)})
-        return law.flow(constants, contact, first, partner)
 
     @ti.func
     def add_loss(self, chunk, i, j, energy, with_wall: ti.template()):
