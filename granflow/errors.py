@@ -50,6 +50,17 @@ class SceneError(FileError):
     """
 
 
+class UnstableTimeStepError(SceneError):
+    """The time step of a scene is above its stability limit.
+
+    reason:  the part of the message without its position and remedy
+    """
+
+    def __init__(self, where: str, reason: str, remedy: str) -> None:
+        self.reason = reason
+        super().__init__(f"{where}: {reason}. {remedy}")
+
+
 class OutputError(GranflowError):
     """Files of a run could not be written; the message gives the file, the reason and the last checkpoint.
 

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import print_error, say
-from granflow.errors import GranflowError, SceneError
+from granflow.errors import GranflowError, SceneError, UnstableTimeStepError
 
 if TYPE_CHECKING:
     from granflow.importing.convert import Imported
 
-UNSTABLE = "run.time_step is "
-"""Beginning of the problem of a time step above the stability limit."""
 INCOMPLETE = 3
 """Exit code of a script of which something has no counterpart."""
 
@@ -34,10 +32,10 @@ def import_(options: argparse.Namespace) -> int:
     fault = ""
     if is_written:
         write(out, found, options.overwrite)
-        fault = checked(out)
-        if UNSTABLE in fault:
-            reason = fault[fault.index(UNSTABLE) :].partition(". ")[0]
-            found = convert(options.deck, settings, options.code, automatic_step=reason)
+        try:
+            fault = checked(out)
+        except UnstableTimeStepError as error:
+            found.make_step_automatic(error.reason)
             write(out, found, overwrite=True)
             fault = checked(out)
     if options.json:
@@ -88,12 +86,14 @@ def write(out: Path, found: "Imported", overwrite: bool) -> None:
 
 
 def checked(out: Path) -> str:
-    """Run `granflow check`; the problems as text, empty without one."""
+    """Run `granflow check`; the problems as text, empty without one. Raises UnstableTimeStepError."""
     from granflow.cli.run import check
 
     options = argparse.Namespace(scene=out, overrides=[], mpi=False, allow_long=True, precision=None)
     try:
         check(options)
+    except UnstableTimeStepError:
+        raise
     except SceneError as error:
         return "\n".join(error.problems)
     except GranflowError as error:

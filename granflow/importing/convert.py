@@ -16,6 +16,7 @@ from granflow.importing import (
     regions,
     schedule,
     settings,
+    start,
 )
 from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
 from granflow.importing.language import Command, DeckError, Interpreter
@@ -25,25 +26,54 @@ from granflow.schema.messages import nearest
 
 CODES = ("liggghts", "lammps")
 """Values of --code."""
-FAMILIES = (schedule, materials, regions, geometry, meshes, motion, insertion, multisphere, heat, settings)
+FAMILIES = (
+    schedule,
+    materials,
+    regions,
+    geometry,
+    meshes,
+    motion,
+    insertion,
+    start,
+    multisphere,
+    heat,
+    settings,
+)
 """Families of commands; each has the tables COMMANDS and FIXES."""
 SHAPES = {"sphere", "granular"}
 """Atom styles of spheres."""
+STEP = ("run", "time_step")
+"""Key of the time step."""
 
 
 @dataclass(frozen=True)
 class Imported:
     """A translated script.
 
-    text:   the scene; empty if what is not possible leaves no scene
-    files:  files beside the scene by name
+    draft:   the blocks of the scene; None if what is not possible leaves no scene
+    origin:  what the scene was made from, for its first line
+    files:   files beside the scene by name
     """
 
-    text: str
+    draft: Draft | None
+    origin: str
     files: Mapping[str, bytes]
     report: Report
     code: str
     printed: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """The scene as YAML; empty without one."""
+        return "" if self.draft is None else self.draft.text(self.origin)
+
+    def make_step_automatic(self, reason: str) -> None:
+        """Leave the choice of the time step to granflow; `reason`: why that of the script is not taken."""
+        if self.draft is None:
+            return
+        for entry in self.draft.owners.get(STEP, ()):
+            entry.approximated(f"{reason}; the step is automatic")
+        self.draft.remove(*STEP)
 
 
 def units(deck: Deck, command: Command, entry: Entry) -> None:
@@ -152,6 +182,8 @@ def code_of(path: Path, commands: Iterable[Command]) -> str:
         )
         if is_own or each.words[:1] == ("granular",) and each.name == "atom_style":
             return "liggghts"
+        if each.name == "run":
+            break
     return "lammps"
 
 
@@ -159,19 +191,17 @@ def convert(
     path: Path,
     given: Mapping[str, str] | None = None,
     code: str | None = None,
-    automatic_step: str = "",
 ) -> Imported:
     """Translate a script. Raises DeckError for an error of the script, with its line.
 
-    given:           values of variables
-    automatic_step:  why the time step of the script is not taken; empty if it is
+    given:  values of variables
     """
     settings = dict(given or {})
     if code is None:
         try:
             code = code_of(path, Interpreter(given=settings).commands(path))
         except GranflowError:
-            code = "liggghts"  # the same error follows below, with its line
+            code = "lammps"  # the same error follows below, with its line
     report = Report()
 
     def executed(command: Command, problem: str) -> None:
@@ -186,7 +216,6 @@ def convert(
     interpreter = Interpreter(given=settings, on_executed=executed)
     deck = Deck(code, interpreter, report, units="si" if code == "liggghts" else "lj")
     deck.family["folder"] = path.parent
-    deck.automatic_step = automatic_step
     commands, fixes = all_commands(), all_fixes()
     for command in interpreter.commands(path):
         entry = report.entry(command)
@@ -200,26 +229,28 @@ def convert(
         if command.name == "clear":
             break
     try:
-        text = _text(deck, path)
+        draft = _draft(deck, path)
     except GranflowError:
         if report.is_complete:
             raise
-        text = ""  # what is missing is probably one of the lines that are not possible
-    return Imported(text, deck.family.get("files", {}), report, code, tuple(interpreter.printed))
+        draft = None  # what is missing is probably one of the lines that are not possible
+    code_name = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[code]
+    origin = f"Made by granflow import from {path.name}, a script of {code_name}; comments have its lines."
+    files = {} if draft is None else draft.files
+    return Imported(draft, origin, files, report, code, tuple(interpreter.printed))
 
 
-def _text(deck: Deck, path: Path) -> str:
-    """Build the blocks of the scene and write them."""
+def _draft(deck: Deck, path: Path) -> Draft:
+    """Build the blocks of the scene."""
     if not any(run.steps for run in deck.runs):
         raise GranflowError(f"{path}: the script has no run, so that there is nothing to simulate.")
     if deck.box is None:
         raise GranflowError(
             f"{path}: the script has no create_box or read_data, so that the box is not known."
         )
-    code = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[deck.code]
     draft = Draft()
     draft.put(("title",), path.name)
-    insertion.add_points(deck, draft)
+    start.add_points(deck, draft)
     insertion.collect(deck)
     materials.build(deck, draft)
     geometry.build(deck, draft)
@@ -228,10 +259,7 @@ def _text(deck: Deck, path: Path) -> str:
     heat.build(deck, draft)
     settings.build(deck, draft)
     materials.report_properties(deck)
-    deck.family["files"] = draft.files
-    return draft.text(
-        f"Made by granflow import from {path.name}, a script of {code}; comments have its lines."
-    )
+    return draft
 
 
 __all__ = ["CODES", "DeckError", "Imported", "convert"]

@@ -28,6 +28,9 @@ UNITS: dict[str, Vector] = {
 }
 """Mass [kg], length [m] and time [s] of a unit system; numbers of lj have no unit and are taken as SI."""
 
+DEFAULT_STEPS = {"si": 1e-8, "cgs": 1e-8, "micro": 2.0, "nano": 0.00045, "lj": 0.005}
+"""Time step of a script without timestep, in its units."""
+
 DIMENSIONS: dict[str, tuple[int, int, int]] = {
     "number": (0, 0, 0),
     "length": (0, 1, 0),
@@ -163,13 +166,17 @@ class ParticleGroup:
 
 @dataclass
 class Points:
-    """Particles at the start, one row each: type, radius [m], density [kg/m3], position, velocity, spin."""
+    """Particles at the start, one row each: type, radius [m], density [kg/m3], position, velocity, spin.
+
+    fill:  number of the random fill that a particle belongs to, from 0; -1 for particles at given positions
+    """
 
     type: np.ndarray
     radius: np.ndarray
     density: np.ndarray
     position: np.ndarray
     motion: np.ndarray
+    fill: np.ndarray
     entries: list[Entry]
 
 
@@ -198,8 +205,6 @@ class Deck:
     step: int = 0
     time_step: float | None = None
     time_step_entry: Entry | None = None
-    automatic_step: str = ""
-    """Why the time step of the script is not taken; empty if it is."""
     runs: list[Run] = field(default_factory=list)
     family: dict[str, Any] = field(default_factory=dict)
     """Data of the families that are no fixes, by the name of the family."""
@@ -212,9 +217,26 @@ class Deck:
             factor *= unit**exponent
         return value * factor
 
+    @property
+    def step_here(self) -> float:
+        """The time step [s] at this line: that of `timestep`, or the default of the units."""
+        return self.time_step or self.si(DEFAULT_STEPS[self.units], "time")
+
     def own(self, name: str, make: Callable[[], Any]) -> Any:
         """The data of a family, made at the first use."""
         return self.family.setdefault(name, make()) if name not in self.family else self.family[name]
+
+    def drop_separating_runs(self) -> None:
+        """Begin here, if all runs so far have separated random particles, which become a packing."""
+        separating: list[Entry] = self.own("separating", list)
+        if not self.runs or any(all(run.entry is not each for each in separating) for run in self.runs):
+            return
+        for run in self.runs:
+            run.entry.not_needed("the run separates random particles, which are placed without overlap")
+        self.runs.clear()
+        self.time = 0.0
+        for fix in self.all_fixes:
+            fix.start, fix.end = 0.0, None if fix.end is None else 0.0
 
     def fixes_of(self, *styles: str) -> list[Fix]:
         """All fixes of the styles, also ended ones, in the order of the script."""

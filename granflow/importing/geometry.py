@@ -1,6 +1,6 @@
 """Box and walls of a script: boundaries, fix wall/gran and wall/gran/region, shear of the box."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
@@ -11,6 +11,7 @@ from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossib
 from granflow.importing.heat import wall_temperature
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import (
+    OPTIONS,
     Model,
     WallContact,
     granular_model,
@@ -173,7 +174,8 @@ class Primitive:
 
     style:    such as zplane
     numbers:  positions [m] of planes by side ("low", "high", "only"), or radius and center of a cylinder
-    moves:    wiggle and shear: (axis, amplitude [m], period [s]) and (axis, velocity [m/s])
+    moves:    wiggle and shear: (axis, amplitude [m], period [s]) and (axis, velocity [m/s], or of a
+              cylinder of LIGGGHTS that turns [rad/s])
     """
 
     style: str
@@ -247,7 +249,8 @@ def _wall_keywords(fix: Fix, words: Words, wall: Primitive) -> None:
             wall.wiggle = (axis, words.number("the amplitude", "length"), words.number("the period", "time"))
         elif key == "shear":
             axis = words.word("the axis of the shear")
-            wall.shear = (axis, words.number("the velocity", "velocity"))
+            turns = bool(wall.cylinder) and not wall.is_lammps and axis != wall.style[0]
+            wall.shear = (axis, words.number("the velocity", "angular_velocity" if turns else "velocity"))
         elif key in ("store_force", "store_force_contact", "store_force_contact_stress"):
             if words.flag(key):
                 fix.entry.approximated("output.contacts has the force of each contact with a wall")
@@ -285,6 +288,8 @@ def _mesh_wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
         elif key in ("store_force", "store_force_contact", "store_force_contact_stress"):
             if words.flag(key):
                 fix.entry.approximated("output.contacts has the force of each contact with a wall")
+        elif key in OPTIONS:
+            model = replace(model, options={**model.options, key: words.flag(key)})
         else:
             fix.entry.impossible(f"the keyword {key} of a mesh wall")
             words.skip()
@@ -325,14 +330,19 @@ def build(deck: Deck, draft: Draft) -> None:
     region_walls.release_periodic_axes(deck)
     _shear(deck, draft)
     _freeze(deck)
+    walls: dict[tuple[str, float, str], tuple[Fix, WallContact, list[Fix]]] = {}
+    for fix in deck.fixes_of("wall/gran"):
+        for mesh, contact in fix.data.meshes if isinstance(fix.data, MeshWalls) else ():
+            if deck.acting(fix):
+                wall = walls.setdefault((mesh.name, mesh.start, contact.material), (mesh, contact, []))
+                wall[2].append(fix)
+    for mesh, contact, fixes in walls.values():
+        _mesh(deck, draft, fixes, mesh, contact)
     for fix in deck.fixes_of("wall/gran", "wall/gran/region"):
         if fix.data is None or not deck.acting(fix):
             continue
         if isinstance(fix.data, Primitive):
             _primitive(deck, draft, fix, fix.data)
-        elif isinstance(fix.data, MeshWalls):
-            for mesh, contact in fix.data.meshes:
-                _mesh(deck, draft, fix, mesh, contact)
         elif isinstance(fix.data, RegionWall):
             region_walls.build(deck, draft, fix, fix.data)
     meshes.build(deck, draft)
@@ -422,9 +432,8 @@ def _primitive_motions(wall: Primitive, axis: int, runs: list[Run]) -> list[dict
             radius, *center = wall.cylinder
             point = np.zeros(3)
             point[[k for k in range(3) if k != axis]] = center
-            # Particles in a cylinder of LIGGGHTS turn counterclockwise, of LAMMPS clockwise (as documented).
-            sign = -1.0 if wall.is_lammps else 1.0
-            rate = quantity(sign * speed / radius, "angular_velocity")
+            # LAMMPS: clockwise, with the velocity of the surface; LIGGGHTS: counterclockwise, in rad/s
+            rate = quantity(-speed / radius if wall.is_lammps else speed, "angular_velocity")
             place = {"point": quantities(point, "length"), "axis": [int(k == axis) for k in range(3)]}
             found.append({"kind": "rotation", **place, "angular_velocity": rate, **when})
         else:
@@ -433,17 +442,22 @@ def _primitive_motions(wall: Primitive, axis: int, runs: list[Run]) -> list[dict
     return found
 
 
-def _mesh(deck: Deck, draft: Draft, fix: Fix, mesh: Fix, contact: WallContact) -> None:
+def _mesh(deck: Deck, draft: Draft, fixes: list[Fix], mesh: Fix, contact: WallContact) -> None:
+    """One mesh; scripts that take another mesh away end the fix of all and give it again for the others."""
     mesh = next(each for each in deck.all_fixes if each.entry is mesh.entry)
     name = region_walls.wall_name(draft, mesh.name)
     keys = {**mesh_keys(draft, mesh.data), "material": contact.material}
     keys |= wear_keys(deck, mesh.data)
     motions = [*surface_motions(deck, mesh, name), *mesh_motions(deck, draft, mesh, name)]
     keys |= _motion(motions)
-    runs = [run for run in deck.acting(fix) if mesh.acts_in(run)]
-    name = _put_wall(deck, draft, name, keys, runs, (mesh.entry, fix.entry))
+    runs = [
+        run
+        for run in deck.runs
+        if run.steps and mesh.acts_in(run) and any(each.acts_in(run) for each in fixes)
+    ]
+    name = _put_wall(deck, draft, name, keys, runs, (mesh.entry, *(each.entry for each in fixes)))
     if runs and runs[0].start > 0.0:
-        fix.entry.approximated(
+        fixes[0].entry.approximated(
             f"{name} appears at {runs[0].start:.4g} s: where it appears within particles, a run of granflow "
             "stops, with which the script continues; move it in from outside of them, or delete its key "
             "stages, so that the particles settle around it"
@@ -465,7 +479,7 @@ FIXES: dict[str, Translation] = {
         wall_gran, "walls", "planes, cylinders, meshes; wiggle (vibration), shear (surface_velocity)"
     ),
     "wall/gran/region": Translation(
-        wall_gran_region, "walls", "block, cylinder, cone, sphere (a mesh), plane, union, intersect"
+        wall_gran_region, "walls", "block, cylinder, cone, sphere, plane, union, intersect"
     ),
     "deform": Translation(deform, "domain.lees_edwards", "shear xy, xz or yz at a constant rate (erate)"),
     "freeze": Translation(freeze, "particles.NAME.fixed", "groups of types"),

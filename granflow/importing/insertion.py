@@ -13,18 +13,16 @@ from granflow.importing.deck import (
     Deck,
     Fix,
     ParticleGroup,
-    Points,
     Region,
     Translation,
     Vector,
     Words,
     impossible,
 )
-from granflow.importing.groups import fixed_points
-from granflow.importing.language import Command, DeckError
+from granflow.importing.language import DeckError
 from granflow.importing.materials import material_of
 from granflow.importing.meshes import FlatFace, flat_face
-from granflow.importing.regions import BASIS, contains, region_of
+from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
 from granflow.io.tables import is_number
@@ -34,13 +32,7 @@ from granflow.units import to_si
 MOST_BATCHES = 12
 """Number of batches of an insertion that become groups of their own; more become a constant rate."""
 MOST_FILLED = 0.4
-"""Largest solid fraction that insert/pack reaches, relative to the volume of the centers; measured with "
-"LIGGGHTS."""
-"""The nearest alternative of a change of particles after the first run."""
-MOST_CELLS = 1_000_000
-"""Number of cells of a lattice above which its scale is taken to be wrong."""
-MOST_DRAWS = 1000
-"""Number of draws of random points after which a region is taken to be empty."""
+"""Largest solid fraction that insert/pack reaches in the volume of the centers; measured with LIGGGHTS."""
 BURST = 0.02
 """Duration of the insertion of a batch over the time between two batches."""
 
@@ -683,7 +675,10 @@ class Pour:
     density: float
     fraction: float
     rate: float
-    velocity: float
+    velocity: Vector
+    """At the upper end of the region, in the mean."""
+    step: float
+    """Time step [s] at the line of the fix."""
 
 
 def pour(deck: Deck, fix: Fix) -> None:
@@ -695,7 +690,7 @@ def pour(deck: Deck, fix: Fix) -> None:
     unit = deck.si(1.0, "length")
     diameters, is_range = [(unit, 1.0)], False
     densities = (deck.si(1.0, "density"),) * 2
-    fraction, rate, velocity = 0.25, 0.0, 0.0
+    fraction, rate, velocity = 0.25, 0.0, (0.0, 0.0, 0.0)
     while words:
         key = words.word("a keyword")
         if key == "region":
@@ -731,10 +726,10 @@ def pour(deck: Deck, fix: Fix) -> None:
             while words and is_number(words.next):
                 numbers.append(words.number("a velocity", "velocity"))
             if len(numbers) >= 5:
-                velocity = numbers[-1]
-                if any(numbers[:4]):
+                velocity = (0.5 * sum(numbers[:2]), 0.5 * sum(numbers[2:4]), numbers[4])
+                if numbers[0] != numbers[1] or numbers[2] != numbers[3]:
                     fix.entry.approximated(
-                        "the horizontal velocities of the script are random; here they are 0"
+                        "the horizontal velocities of the script are random; the mean is taken"
                     )
         elif key in ("mol", "rigid", "shake", "template"):
             fix.entry.impossible(f"pour of molecules ({key})", "clumps: particles.NAME.clump")
@@ -751,23 +746,29 @@ def pour(deck: Deck, fix: Fix) -> None:
     density = 0.5 * (densities[0] + densities[1])
     if type < 1:
         return
-    fix.data = Pour(count, type, region, diameters, is_range, density, fraction, rate, velocity)
+    values = (diameters, is_range, density, fraction, rate, velocity, deck.step_here)
+    fix.data = Pour(count, type, region, *values)
 
 
 def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
-    """The groups of a pour: batches that fill the region to its fraction, or a constant rate.
+    """The group of a pour: an inlet at the lower end of the region.
 
-    A batch follows when the one before has left the region: n steps with n dt = (v + sqrt(v^2 + 2 g h)) / g.
+    A batch of LAMMPS has fallen from the upper end of the region and is uniform in the time of the fall, so
+    that it leaves the lower end at a constant rate and with one velocity. The next batch follows when the one
+    before has left, after n steps with n dt = (w + sqrt(w^2 + 2 g h)) / g; w: velocity relative to a region
+    that moves. LAMMPS takes dt at the line of the fix.
     """
     extent = extent_of(deck, given.region)
     gravity = next((each.data for each in deck.fixes_of("gravity") if each.data), (0.0, 0.0, -9.81))
     g = hypot(*gravity)
     height = extent[5] - extent[4]
-    down = abs(given.velocity)
+    down = max(0.0, -given.velocity[2])
     if given.rate:
         fix.entry.approximated("the region of the script moves with rate; here it is at rest")
-    time = (sqrt(down**2 + 2.0 * g * height) - down) / g if g else height / max(down, 1e-9)
-    time = max(time, deck.time_step or 1e-6)
+    relative = given.velocity[2] - given.rate
+    fall = (relative + sqrt(relative**2 + 2.0 * g * height)) / g if g else height / max(down, 1e-9)
+    step = deck.acting(fix)[0].time_step
+    interval = max(1, round(fall / given.step)) * step
     if given.is_range:
         low, high = given.diameters[0][0], given.diameters[1][0]
         mean_cube = high**3  # a batch of LAMMPS is counted with the largest particle
@@ -787,261 +788,63 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
             sizes = {"distribution": "classes", "by": "number", "classes": classes}
     volume = volume_of(given.region) or _box_volume(extent)
     batch = max(1.0, floor(given.fraction * volume / (pi / 6.0 * mean_cube)))
-    margin = radii[0] if is_clear(deck, extent, radii[0]) else 0.0
-    region = scene_region(deck, given.region, fix.entry, margin)
-    given.region.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.region")
+    given.region.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.face")
     start, end = _window(deck, fix)
-    keys: dict[str, Any] = {"diameter": sizes}
-    mean_speed = down + 0.5 * g * time
-    if mean_speed:
-        keys["velocity"] = quantities([mean_speed * each / g if g else 0.0 for each in gravity], "velocity")
-    flows = pour_flows(given.count, batch, time, start, end)
-    if given.count <= batch and len(flows) == 1:
-        fix.entry.approximated(
-            f"the particles enter within {BURST * time:.2g} s, not in one step, with the mean velocity of "
-            "the fall through the region"
+    speed = sqrt(down**2 + 2.0 * g * height)
+    if given.count <= batch:
+        interval = fall
+    whole = given.count if given.count <= batch else given.count // int(batch) * int(batch)
+    flows = [(whole, min(whole, batch) / interval, start)]
+    if whole < given.count:  # the last batch leaves as slowly as the others
+        flows.append(
+            (given.count - whole, (given.count - whole) / interval, start + whole / batch * interval)
         )
-    elif len(flows) > 1:
+    fix.entry.approximated(
+        "particles enter at the lower end of the region with the velocity of their fall, "
+        f"{flows[0][1]:.4g} per s; in the script a batch of {min(batch, given.count):g} appears above it "
+        f"every {interval:.3g} s"
+    )
+    if given.count > batch and abs(interval / fall - 1.0) > 0.05:
         fix.entry.approximated(
-            f"a batch of {batch:g} particles every {time:.3g} s enters within {BURST * time:.2g} s, with the "
-            "mean velocity of the fall through the region"
+            f"LAMMPS counts this interval with the time step at the line of the fix, {given.step:g} s, so "
+            f"that it is not the time of the fall, {fall:.3g} s; batches that overlap are smaller in LAMMPS"
         )
-    else:
-        fix.entry.approximated(
-            f"batches of {batch:g} particles every {time:.3g} s are a constant rate, with the mean velocity "
-            "of the fall through the region"
-        )
-    for number, (count, rate, begin, last) in enumerate(flows, 1):
-        insert: dict[str, Any] = {"kind": "rain", "region": region, "rate": quantity(rate, "rate")}
+    face = _lower_end(deck, given.region, extent, sum(radii) / 2.0).inlet()
+    velocity = quantities([*given.velocity[:2], -speed], "velocity")
+    for number, (count, rate, begin) in enumerate(flows, 1):
+        insert: dict[str, Any] = {
+            "kind": "inlet",
+            "face": face,
+            "rate": quantity(float(f"{rate:.6g}"), "rate"),
+        }
         if begin > 0.0:
             insert["start"] = quantity(begin, "time")
-        if last < deck.end:
-            insert["end"] = quantity(last, "time")
+        if begin + count / rate > end and end < deck.end:
+            insert["end"] = quantity(end, "time")
+        if begin >= end:
+            continue
         name = fix.name if number == 1 else f"{fix.name}_{number}"
-        values = {"count": count, **keys, "insert": insert}
+        values = {"count": count, "diameter": sizes, "velocity": velocity, "insert": insert}
         deck.particles.append(ParticleGroup(name, given.type, given.density, radii, values, (fix.entry,)))
 
 
-def pour_flows(
-    count: int, batch: float, time: float, start: float, end: float
-) -> list[tuple[int, float, float, float]]:
-    """Count, rate [1/s], start and end [s] of the flows of a pour: one per batch, or one for many batches.
+def _lower_end(deck: Deck, region: Region, extent: tuple[float, ...], radius: float) -> FlatFace:
+    """The face whose particles have their centers in the lower end of a region.
 
-    batch:  particles of one batch; `time` [s] between two batches; `start`, `end` of the fix [s]
+    It lies above it and is wider by a radius [m], as far as the box permits.
     """
-    starts: list[tuple[int, float]] = []
-    left = count
-    while left > 0 and len(starts) <= MOST_BATCHES and start + len(starts) * time < end:
-        starts.append((min(left, int(batch)), start + len(starts) * time))
-        left -= int(batch)
-    if len(starts) <= MOST_BATCHES:
-        burst = BURST * time
-        return [(n, float(f"{n / burst:.6g}"), begin, inf) for n, begin in starts]
-    rate = batch / time
-    last = end if start + count / rate > end else inf
-    return [(count, float(f"{rate:.6g}"), start, last)]
-
-
-def is_clear(deck: Deck, extent: tuple[float, ...], margin: float) -> bool:
-    """Whether a region that is enlarged by a margin [m] remains in the box."""
-    box = deck.box or extent
-    return all(
-        extent[2 * k] - margin >= box[2 * k] and extent[2 * k + 1] + margin <= box[2 * k + 1]
-        for k in range(3)
-    )
-
-
-# Particles at the start
-
-
-def read_data(deck: Deck, command: Command, entry: Entry) -> None:
-    """read_data FILE: box and particles (atom_style sphere or granular)."""
-    words = Words(deck, command, command.words)
-    path = deck.family["folder"] / words.word("the file")
-    if words:
-        entry.impossible(f"the keyword {words.next} of read_data", "one file with all particles")
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise DeckError(command, f"{path} cannot be read: {error.strerror}.") from None
-    box = [0.0] * 6
-    section, rows, velocities = "", [], {}
-    for number, raw in enumerate(lines[1:], 2):
-        parts = raw.split("#")[0].split()
-        if not parts:
-            continue
-        if parts[0][0].isalpha():
-            section = parts[0]
-            if section not in ("Atoms", "Velocities"):
-                entry.impossible(f"the section {section} of {path.name}", "Atoms and Velocities")
-        elif len(parts) >= 4 and parts[-2:] in (["xlo", "xhi"], ["ylo", "yhi"], ["zlo", "zhi"]):
-            k = 2 * "xyz".index(parts[-1][0])
-            box[k], box[k + 1] = (deck.si(float(each), "length") for each in parts[:2])
-        elif len(parts) >= 3 and parts[-2:] == ["atom", "types"]:
-            deck.types = int(parts[0])
-        elif section == "Atoms":
-            if len(parts) < 7:
-                raise DeckError(command, f"{path.name}:{number}: an atom has id type diameter density x y z.")
-            rows.append([float(each) for each in parts[:7]])
-        elif section == "Velocities":
-            velocities[int(float(parts[0]))] = [float(each) for each in parts[1:7]]
-    deck.box, deck.box_entry = tuple(box), entry
-    if not rows:
-        return
-    unit = {name: deck.si(1.0, name) for name in ("length", "density", "velocity", "angular_velocity")}
-    table = np.array(rows)
-    table[:, 2] *= unit["length"]
-    table[:, 3] *= unit["density"]
-    table[:, 4:7] *= unit["length"]
-    motion = np.array([velocities.get(int(row[0]), [0.0] * 6) + [0.0] * 6 for row in rows])[:, :6]
-    motion[:, :3] *= unit["velocity"]
-    motion[:, 3:] *= unit["angular_velocity"]
-    _add_points(deck, table[:, 1], table[:, 2] / 2.0, table[:, 3], table[:, 4:7], motion, entry)
-
-
-def _add_points(
-    deck: Deck, type: Any, radius: Any, density: Any, position: Any, motion: Any, entry: Entry
-) -> None:
-    """Add particles at given positions."""
-    found: Points | None = deck.family.get("points")
-    type = np.array(type, int)
-    if found is None:
-        deck.family["points"] = Points(
-            type, np.array(radius, float), np.array(density, float), np.array(position, float),
-            np.array(motion, float), [entry],
-        )  # fmt: skip
-        return
-    for name, value in (
-        ("type", type),
-        ("radius", radius),
-        ("density", density),
-        ("position", position),
-        ("motion", motion),
-    ):
-        setattr(found, name, np.concatenate([getattr(found, name), value]))
-    found.entries.append(entry)
-
-
-def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
-    """create_atoms TYPE single X Y Z | random N SEED REGION | region ID | box [units box|lattice]"""
-    words = Words(deck, command, command.words)
-    type = words.whole("the type")
-    style = words.word("the style")
-    spacing = 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
-    if style == "single":
-        place = words.vector("the position", "length")
-        points = spacing * np.array([place])
-    elif style == "random":
-        count = words.whole("the number")
-        random = np.random.default_rng(words.whole("the seed"))
-        points = _random_points(deck, command, random, count, words.word("the name of a region"))
-        entry.approximated(
-            "random positions differ from those of the code; where they overlap more than granflow permits, "
-            "kind: pack places the particles"
-        )
-    elif style in ("region", "box"):
-        region = region_of(deck, command, words.word("the name of a region")) if style == "region" else None
-        points = lattice_points(deck, command)
-        if region is not None:
-            points = points[contains(deck, region, points)]
-            region.entry.translated("particles")
+    box = np.array(deck.box or (-inf, inf) * 3).reshape(3, 2)
+    low, high = np.array(extent[::2]), np.array(extent[1::2])
+    point, sides, wide = low, None, 0.0
+    if region.kind == "cylinder":
+        point, wide = np.array([*region.numbers[:2], low[2]]), region.numbers[2]
     else:
-        entry.impossible(f"create_atoms {style}", "insert: {kind: lattice, region: ...}")
-        return
-    while words:
-        key = words.word("a keyword")
-        if key != "units":
-            entry.impossible(f"the keyword {key} of create_atoms", "particles of a file: read_data")
-            words.skip()
-        elif words.word("box or lattice") not in ("box", "lattice"):
-            raise DeckError(command, "units is box or lattice.")
-    count = len(points)
-    ones = np.ones(count)
-    radius, density = 0.5 * deck.si(1.0, "length"), deck.si(1.0, "density")
-    _add_points(deck, type * ones, radius * ones, density * ones, points, np.zeros((count, 6)), entry)
+        sides = np.array([[0.0, high[1] - low[1], 0.0], [high[0] - low[0], 0.0, 0.0]])
+    face = FlatFace(point, np.array([0.0, 0.0, -1.0]), sides, wide, float(np.max(high - low)))
+    return face.moved(-min(radius, face.room(np.array([0.0, 0.0, 1.0]), box))).enlarged(radius, box)
 
 
-def lattice_points(deck: Deck, command: Command) -> np.ndarray:
-    """The points (n, 3) [m] of the lattice in the box, without those on its upper faces. Raises DeckError."""
-    places = BASIS.get(deck.family.get("lattice_style", ""), ())
-    if not places or deck.box is None:
-        raise DeckError(
-            command, "particles on a lattice need create_box and a lattice, such as lattice sc 0.001."
-        )
-    spacing = deck.si(float(deck.family["lattice"]), "length")
-    low, high = np.array(deck.box[::2]), np.array(deck.box[1::2])
-    cells = [
-        np.arange(np.floor(a / spacing) - 1, np.ceil(b / spacing) + 1) for a, b in zip(low, high, strict=True)
-    ]
-    if np.prod([float(len(each)) for each in cells]) > MOST_CELLS:
-        raise DeckError(command, f"the lattice has more than {MOST_CELLS} cells in the box; check its scale.")
-    corners = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    points = (spacing * (corners + np.array(places))).reshape(-1, 3)
-    slack = 1e-6 * (high - low)
-    return np.asarray(points[((points >= low - slack) & (points < high - slack)).all(axis=1)])
-
-
-def _random_points(
-    deck: Deck, command: Command, random: np.random.Generator, count: int, name: str
-) -> np.ndarray:
-    """Random points (count, 3) [m] in a region, or in the box for NULL. Raises DeckError."""
-    region = None if name == "NULL" else region_of(deck, command, name)
-    extent = (deck.box or (0.0,) * 6) if region is None else extent_of(deck, region)
-    found = np.zeros((0, 3))
-    for _ in range(MOST_DRAWS):
-        points = random.uniform(extent[::2], extent[1::2], (count, 3))
-        found = np.concatenate([found, points if region is None else points[contains(deck, region, points)]])
-        if len(found) >= count:
-            return found[:count]
-    raise DeckError(command, f"the region {name} has no volume inside the box.")
-
-
-def delete_atoms(deck: Deck, command: Command, entry: Entry) -> None:
-    """delete_atoms region ID | group ID ..."""
-    points: Points | None = deck.family.get("points")
-    words = Words(deck, command, command.words)
-    style, which = words.word("the style"), words.word("the name")
-    if style == "region" and points is not None and deck.time == 0.0:
-        kept = ~contains(deck, region_of(deck, command, which), points.position)
-        for name in ("type", "radius", "density", "position", "motion"):
-            setattr(points, name, getattr(points, name)[kept])
-        entry.translated("particles")
-    else:
-        entry.impossible(
-            "deletion of particles during the simulation", "outlets, in which particles are deleted"
-        )
-
-
-def add_points(deck: Deck, draft: Draft) -> None:
-    """The groups of particles at given positions: one table, one group for each type and density."""
-    points: Points | None = deck.family.get("points")
-    if points is None or not len(points.type):
-        return
-    held = fixed_points(deck, points)
-    columns = (points.type.tolist(), points.density.tolist(), held.tolist())
-    kinds = sorted(set(zip(*columns, strict=True)))
-    for type, density, is_held in kinds:
-        rows = (points.type == type) & (points.density == density) & (held == is_held)
-        name = (
-            f"type{type}"
-            if len({t for t, _, _ in kinds}) == len({(t, d) for t, d, _ in kinds})
-            else f"type{type}_{density:g}".replace(".", "_")
-        )
-        name += "_fixed" if is_held else ""
-        table = [points.position[rows], points.radius[rows, None]]
-        heads = ["x", "y", "z", "r"]
-        if points.motion[rows].any() and not is_held:
-            table.append(points.motion[rows])
-            heads += ["vx", "vy", "vz", "wx", "wy", "wz"]
-        lines = [",".join(heads)] + [",".join(f"{v:.15g}" for v in row) for row in np.hstack(table)]
-        file = draft.add_file(f"{name}.csv", ("\n".join(lines) + "\n").encode())
-        radii = (float(points.radius[rows].min()), float(points.radius[rows].max()))
-        keys: dict[str, Any] = {"insert": {"kind": "file", "file": file}}
-        if is_held:
-            keys["fixed"] = True
-        deck.particles.append(
-            ParticleGroup(f"start_{name}", type, density, radii, keys, tuple(points.entries))
-        )
+# The block
 
 
 def build(deck: Deck, draft: Draft) -> None:
@@ -1059,14 +862,6 @@ def group_name(group: ParticleGroup) -> str:
 # Tables
 
 COMMANDS: dict[str, Translation] = {
-    "read_data": Translation(
-        read_data, "particles.NAME.insert (kind: file)", "atom_style sphere or granular"
-    ),
-    "create_atoms": Translation(
-        create_atoms, "particles.NAME.insert (kind: file)", "single, random, region, box"
-    ),
-    "delete_atoms": Translation(delete_atoms, "particles", "region, before the first run"),
-    "displace_atoms": impossible("displacement of particles", "other positions in the table"),
     "molecule": impossible("molecules", "clumps: particles.NAME.clump"),
 }
 FIXES: dict[str, Translation] = {
@@ -1079,7 +874,9 @@ FIXES: dict[str, Translation] = {
     "insert/pack": Translation(insertion, "insert: {kind: pack}", "repeated: pack and rain"),
     "insert/stream": Translation(insertion, "insert: {kind: inlet}"),
     "insert/rate/region": Translation(insertion, "insert: {kind: rain}"),
-    "pour": Translation(pour, "insert: {kind: rain}", "batches become a constant rate"),
+    "pour": Translation(
+        pour, "insert: {kind: inlet}", "batches become a constant rate at the lower end of the region"
+    ),
     "adapt": impossible("diameters that change", "a higher solid fraction by kind: pack (up to 0.55)"),
     "deposit": impossible("fix deposit", "insert: {kind: rain}"),
     "particletemplate/superquadric": impossible("superquadrics", "clumps: particles.NAME.clump"),

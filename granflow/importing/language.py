@@ -59,7 +59,14 @@ class DeckError(GranflowError):
 
 
 class NotKnown(GranflowError):
-    """A formula that needs the state of the simulation, or a variable that does not exist."""
+    """A formula that needs the state of the simulation, or a variable that does not exist.
+
+    is_result:  whether only the simulation gives the number
+    """
+
+    def __init__(self, reason: str, is_result: bool = False) -> None:
+        super().__init__(reason)
+        self.is_result = is_result
 
 
 @dataclass(frozen=True)
@@ -238,23 +245,49 @@ class Interpreter:
         self._executed += 1
         if self._executed > MOST_COMMANDS:
             raise DeckError(
-                line, f"{MOST_COMMANDS} commands were executed: the loop has no end. Check next and if."
+                line,
+                f"{MOST_COMMANDS} commands were executed: the loop has no end, or is too long to import. "
+                "Check next and if, or give its variable fewer values with --set.",
             )
         if line.head == "if":
             words = split_words(line, line.text)[1:]
             self.on_executed(
                 Command("if", tuple(words), line.file, line.line, " ".join(line.text.split())), ""
             )
-            for chosen in self._branch(line, [self._substitute(line, each) for each in words]):
+            try:
+                words = [self._substitute(each) for each in words]
+            except NotKnown as error:
+                raise DeckError(line, f"{error}; give it with --set NAME=VALUE.") from None
+            except ValueError as error:
+                raise DeckError(line, f"the bracket of {error} is not closed.") from None
+            for chosen in self._branch(line, words):
                 yield from self._execute(Line(line.file, line.line, chosen), path, depth)
             return
-        if line.head in ("print", "variable"):  # variables inside quotes are substituted as well
-            text = self._substitute(line, line.text) if line.head == "print" else self._outside(line)
-        else:
-            text = self._outside(line)
+        try:
+            # print substitutes variables inside quotes as well
+            text = self._substitute(line.text) if line.head == "print" else self._outside(line.text)
+        except NotKnown as error:
+            yield from self._unknown(line, error)
+            return
+        except ValueError as error:
+            raise DeckError(line, f"the bracket of {error} is not closed.") from None
         words = split_words(line, text)
         command = Command(words[0], tuple(words[1:]), line.file, line.line, " ".join(line.text.split()))
         yield from self._own(command, line, path, depth)
+
+    def _unknown(self, line: Line, error: "NotKnown") -> Iterator[Command]:
+        """A line with a number that only the simulation gives: it is printed, or kept by a variable.
+
+        Raises DeckError for other commands, and for a variable that the script does not define.
+        """
+        words = line.text.split()
+        command = Command(words[0], tuple(words[1:]), line.file, line.line, " ".join(words))
+        if not error.is_result or line.head not in ("print", "variable") or len(words) < 2:
+            raise DeckError(line, f"{error}; give it with --set NAME=VALUE.") from None
+        if line.head == "variable" and words[1] not in self.given:
+            self.variables[words[1]] = Variable("result", [str(error)])
+        self.on_executed(command, "")
+        yield from ()
 
     def _own(self, command: Command, line: Line, path: Path, depth: int) -> Iterator[Command | Path]:
         """Execute a command of the language, or yield it."""
@@ -347,6 +380,16 @@ class Interpreter:
             self.variables[name] = Variable(style, values)
         elif style == "internal":
             self.variables[name] = Variable("equal", values[:1])
+        elif style == "world":  # one of several simulations at once: the first
+            self.variables[name] = Variable("string", values[:1])
+        elif style == "file":
+            path = Path(command.file).parent / values[0]
+            try:
+                lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+            except OSError as error:
+                raise DeckError(command, f"{path} cannot be read: {error.strerror}.") from None
+            found = [each.partition("#")[0].strip() for each in lines]
+            self.variables[name] = Variable("index", [each for each in found if each] or [""])
         elif style == "getenv":
             raise DeckError(command, f"the environment is not read; give the value with --set {name}=VALUE.")
         elif style == "format":
@@ -377,20 +420,21 @@ class Interpreter:
         if name not in self.variables:
             raise NotKnown(f"there is no variable {name}")
         variable = self.variables[name]
+        if variable.style == "result":
+            raise NotKnown(variable.text, is_result=True)
         if variable.style == "equal":
             return shortest(self.evaluate(variable.text))
         if variable.style == "format":
             value = self.evaluate(self.text_of(variable.values[0]))
             return variable.values[1] % value
         if variable.style in ("atom", "vector"):
-            raise NotKnown(f"the variable {name} has one value per particle")
+            raise NotKnown(f"the variable {name} has one value per particle", is_result=True)
         return variable.text
 
-    def _outside(self, line: Line) -> str:
+    def _outside(self, text: str) -> str:
         """The text with variables substituted outside quotes only, as in the codes."""
         parts: list[str] = []
         index = 0
-        text = line.text
         while index < len(text):
             for quote in ('"""', '"', "'"):
                 if text.startswith(quote, index):
@@ -402,12 +446,12 @@ class Interpreter:
             else:
                 ends = [at for at in (text.find('"', index), text.find("'", index)) if at >= 0]
                 end = min(ends, default=len(text))
-                parts.append(self._substitute(line, text[index:end]))
+                parts.append(self._substitute(text[index:end]))
                 index = end
         return "".join(parts)
 
-    def _substitute(self, line: Line, text: str) -> str:
-        """The text with $x, ${name} and $(formula) replaced. Raises DeckError."""
+    def _substitute(self, text: str) -> str:
+        """The text with $x, ${name} and $(formula) replaced. Raises NotKnown, ValueError."""
         parts: list[str] = []
         index = 0
         while index < len(text):
@@ -415,19 +459,16 @@ class Interpreter:
                 parts.append(text[index])
                 index += 1
                 continue
-            try:
-                value, index = self._dollar(text, index + 1)
-            except NotKnown as error:
-                raise DeckError(line, f"{error}; give it with --set NAME=VALUE.") from None
-            except ValueError:
-                raise DeckError(line, f"the bracket of {text[index:]} is not closed.") from None
+            value, index = self._dollar(text, index + 1)
             parts.append(value)
         return "".join(parts)
 
     def _dollar(self, text: str, index: int) -> tuple[str, int]:
         """The value after a $ and the index behind it."""
         if text.startswith("{", index):
-            end = text.index("}", index)
+            end = text.find("}", index)
+            if end < 0:
+                raise ValueError(text[index - 1 :])
             return self.text_of(text[index + 1 : end]), end + 1
         if text.startswith("(", index):
             end = _closing(text, index)
@@ -619,14 +660,16 @@ class Formula:
             return CONSTANTS[name]
         if name in self.facts:
             return self.facts[name]
-        raise NotKnown(f"{name} is a result of the simulation")
+        raise NotKnown(f"{name} is a result of the simulation", is_result=True)
 
     def _variable(self, name: str) -> float:
         variable = self.interpreter.variables.get(name)
         if variable is None:
             raise NotKnown(f"there is no variable {name}")
         if variable.style in ("atom", "vector"):
-            raise NotKnown(f"the variable {name} has one value per particle")
+            raise NotKnown(f"the variable {name} has one value per particle", is_result=True)
+        if variable.style == "result":
+            raise NotKnown(variable.text, is_result=True)
         return self.interpreter.evaluate(variable.text, **self.facts)
 
     def _call(self, name: str) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 from granflow.contact.theory import damping_ratio_for, viscous_restitution
 from granflow.importing.deck import Deck, Fix, ParticleGroup, Translation, Words, impossible, not_needed
 from granflow.importing.language import Command, DeckError
-from granflow.importing.report import Entry
+from granflow.importing.report import APPROXIMATED, Entry
 from granflow.importing.scene_text import Draft, plain_name, quantity
 from granflow.schema.messages import nearest, suggestion_sentence
 
@@ -61,8 +61,8 @@ PROPERTIES: dict[str, Known] = {
     "surfaceTension": Known("surface_energy", "pairs.NAME.surface_tension"),
     "contactAngle": Known("number", "pairs.NAME.contact_angle"),
     "surfaceLiquidContentInitial": Known("number", "particles.NAME.liquid_content"),
-    "fluidViscosity": Known("viscosity"),
-    "minSeparationDistanceRatio": Known("number"),
+    "fluidViscosity": Known("viscosity", "contact.cohesion.viscous_force.viscosity"),
+    "minSeparationDistanceRatio": Known("number", "contact.cohesion.viscous_force.min_separation_ratio"),
     "maxSeparationDistanceRatio": Known("number"),
     "maxLiquidContent": Known("number"),
     "lbVolumeFraction": Known("number"),
@@ -220,18 +220,28 @@ def _mixed(first: Model, second: Model) -> Model:
 
 @dataclass
 class WallContact:
-    """The contact of particles with walls of one type and model; `build` gives it a material."""
+    """The contact of particles with walls of one type and model; `build` gives it a material.
+
+    others:  the fixes of further walls with this model, which refer to the remarks on the first one
+    """
 
     type: int
     model: Model
     material: str = ""
+    others: list[Entry] = field(default_factory=list)
 
 
 def wall_contact(deck: Deck, model: Model, type: int) -> WallContact:
     """The contact of a wall; the same object for the same model and type."""
     contacts: list[WallContact] = deck.own("wall_contacts", list)
-    for each in contacts:
-        if each.type == type and each.model.key == model.key:
+    same = [each for each in contacts if each.model.key == model.key]
+    if same:
+        first = same[0]
+        if model.entry is not first.model.entry and not any(each is model.entry for each in first.others):
+            first.others.append(model.entry)
+        model = replace(model, entry=first.model.entry)
+    for each in same:
+        if each.type == type:
             return each
     contacts.append(WallContact(type, model))
     return contacts[-1]
@@ -240,7 +250,7 @@ def wall_contact(deck: Deck, model: Model, type: int) -> WallContact:
 NORMALS = ("hertz", "hooke", "hooke/stiffness", "hertz/stiffness", "hooke/hysteresis")
 """Normal models of LIGGGHTS with a counterpart."""
 TANGENTIALS = ("history", "no_history", "off")
-COHESIONS = ("off", "sjkr", "sjkr2", "easo/capillary/viscous", "washino/capillary/viscous")
+COHESIONS = ("off", "sjkr", "sjkr2", "easo/capillary/viscous")
 ROLLINGS = ("off", "cdt", "epsd", "epsd2", "epsd3")
 OPTIONS = (
     *("tangential_damping", "limitForce", "absolute_damping", "ktToKnUser", "tangential_reduce"),
@@ -409,6 +419,9 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
     style = words.word("the name of the pair style")
     if style in ("hybrid", "hybrid/overlay"):
         style = words.word("the name of a pair style")
+    if deck.family.get("pair_style") == "soft":
+        deck.drop_separating_runs()
+    deck.family["pair_style"] = style
     if style == "gran":
         deck.family["model"] = liggghts_model(deck, words, entry)
     elif style.removeprefix("gran/") in ("hooke", "hooke/history", "hertz/history") and style.startswith(
@@ -420,6 +433,10 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
     elif style == "granular":
         deck.family["pair_entry"] = entry
         deck.own("pair_models", dict)
+    elif style == "soft":
+        deck.own("relaxations", list).append(
+            (entry, "the pair style soft", "kind: pack, which inserts without overlap")
+        )
     elif style in ("none", "zero"):
         entry.not_needed("there are no forces between particles")
     else:
@@ -557,6 +574,11 @@ def effective(first: Sort, second: Sort | None, a: float, b: float) -> tuple[flo
     return a * b / (a + b), m * n / (m + n)
 
 
+def _approximations(entry: Entry) -> int:
+    """Number of remarks on differences."""
+    return sum(each.kind == APPROXIMATED for each in entry.remarks)
+
+
 def sorts_of(deck: Deck) -> list[Sort]:
     """The materials of the particles, in the order of the groups."""
     found: dict[tuple[int, float], list[ParticleGroup]] = {}
@@ -656,6 +678,7 @@ class Contacts:
 
     def write(self, draft: Draft) -> None:
         """Write all three blocks."""
+        before = [_approximations(wall.model.entry) for wall in self.walls]
         self._name_walls()
         for sort in self.sorts:
             draft.put(("materials", sort.name), self._material(self._moduli(sort.type), sort.density))
@@ -674,6 +697,10 @@ class Contacts:
                 given = draft.get("pairs") or {}
                 if key not in given and f"{wall.material}-{first.name}" not in given:
                     self._pair(draft, key, wall.model, first, None, wall.type)
+        for wall, count in zip(self.walls, before, strict=True):
+            if _approximations(wall.model.entry) > count:
+                for entry in wall.others:
+                    entry.approximated(f"the contacts differ as those of {wall.model.entry.command.where}")
 
     def _name_walls(self) -> None:
         """Give each wall contact the name of its material."""
@@ -954,6 +981,8 @@ class Contacts:
                 e = self._number("coefficientRestitution", main, i, j)
                 zeta = damping_ratio_for(min(max(e, LEAST_RESTITUTION), 0.9999))
                 found.append(sqrt(4.0 * shear / plane) * self._beta(main, i, j) / zeta)
+        if not found:
+            return
         if max(found) > 1.02 * damping or min(found) < 0.98 * damping:
             main.entry.approximated(
                 f"the tangential dashpot over the normal one is {damping:.3g} for all pairs; in the script "
@@ -989,7 +1018,40 @@ class Contacts:
             return "sjkr"
         if model.cohesion in ("dmt", "jkr"):
             return model.cohesion
-        return {"law": "capillary_transfer"}
+        return self._bridges(model)
+
+    def _bridges(self, model: Model) -> dict[str, Any]:
+        """Liquid bridges of easo/capillary/viscous; films of the particles have the liquid content.
+
+        The code takes the content as a volume over that of the particle, not in percent, and R / 2 as the
+        effective radius at walls.
+        """
+        content = self._number("surfaceLiquidContentInitial", model, 1)
+        for group in self.deck.particles:
+            group.keys["liquid_content"] = content
+        viscosity = self._number("fluidViscosity", model, 1)
+        ratio = self._number("minSeparationDistanceRatio", model, 1)
+        volume = 4.0 / 3.0 * pi * content * (1.0 - sqrt(0.75))  # over R^3, of two equal spheres
+        if volume:
+            soulie = exp(0.48 - 0.0082 * log(volume)) + 0.078 + 0.0018 * log(volume)
+            model.entry.approximated(
+                "the capillary force is that of Willett (2000), in the script of Soulie (2006): at contact "
+                f"of equal spheres, with contact angle 0, {2.0 / soulie:.3g} times as large"
+            )
+        model.entry.approximated(
+            "walls have the effective radius R, in the script R/2: there the capillary force is 2 times as "
+            "large, the viscous one 2 times in contact and up to 4 times at a distance"
+        )
+        self._number("maxSeparationDistanceRatio", model, 1)
+        keys: dict[str, Any] = {"law": "capillary_transfer"}
+        if viscosity:
+            if ratio > 1.0:
+                model.entry.approximated(f"the smallest distance is R* instead of {ratio:g} R*")
+            keys["viscous_force"] = {
+                "viscosity": f"{viscosity:.12g} Pa s",
+                "min_separation_ratio": min(ratio, 1.0),
+            }
+        return keys
 
     # Coefficients of pairs
 
@@ -1060,6 +1122,11 @@ class Contacts:
         if model.cohesion == "none":
             return {"surface_tension": 0, "contact_angle": 0}
         angle = 0.5 * (self._number("contactAngle", model, i) + self._number("contactAngle", model, j))
+        if angle:
+            model.entry.approximated(
+                "the contact angle of a pair is the mean of both, as in the manual of LIGGGHTS; "
+                "its version 3.8.0 has the force of the angle 0"
+            )
         tension = self._number("surfaceTension", model, 1)
         return {"surface_tension": quantity(tension, "surface_energy"), "contact_angle": angle}
 
@@ -1222,6 +1289,10 @@ MODELS: tuple[tuple[str, str, str], ...] = (
     ("granular: rolling sds", "rolling: sds", "rolling stiffness of the tangential spring"),
     ("granular: twisting marshall, sds", "twisting: marshall, torsion_spring", ""),
     ("cohesion sjkr, sjkr2", "cohesion: sjkr", "sjkr2: twice the energy density"),
-    ("cohesion easo/capillary/viscous", "cohesion: capillary_transfer", "another share of the films"),
+    (
+        "cohesion easo/capillary/viscous",
+        "cohesion: {law: capillary_transfer, viscous_force}, particles.NAME.liquid_content",
+        "capillary force of Willett; at walls R in place of R/2",
+    ),
 )
 """Rows of the documentation: models of the script and of the scene, and what differs."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from granflow.importing.deck import Deck, Fix, Run, Translation, Vector, Words
 from granflow.importing.language import DeckError
+from granflow.importing.meshes import rotation
 from granflow.importing.regions import RegionMotion, Track, track_variables
 from granflow.importing.scene_text import Draft, number, quantities, quantity
 from granflow.importing.schedule import STAGED, stages_of
@@ -270,34 +271,67 @@ def _velocities(
 
 
 def _turns(deck: Deck, draft: Draft, turns: list[Fix], moves: list[Fix], wall: str) -> list[dict[str, Any]]:
-    """The rotation of a wall, which has at most one: a rotation, or a table of several about one axis."""
-    if not turns:
-        return []
-    first = turns[0]
-    point = _at_rest(deck, first, moves)
-    axis = np.array(first.data.axis) / hypot(*first.data.axis)
-    same = [first]
-    for fix in turns[1:]:
-        other = np.array(fix.data.axis) / hypot(*fix.data.axis)
-        across = np.cross(np.array(_at_rest(deck, fix, moves)) - np.array(point), axis)
-        if abs(abs(other @ axis) - 1.0) < 1e-9 and np.linalg.norm(across) < 1e-9:
-            same.append(fix)
-        else:
+    """The rotations of a wall, each in the frame of those before it.
+
+    In LIGGGHTS the axis of a rotation is carried along by the fixes before it, but keeps its direction in
+    space, as that of a chain does if the axes are parallel or the earlier rotation has ended.
+    """
+    found: list[dict[str, Any]] = []
+    chain: list[tuple[Fix, np.ndarray, np.ndarray]] = []
+    for fix in turns:
+        point, axis = np.array(_at_rest(deck, fix, moves)), _unit(fix.data.axis)
+        for before, center, direction in chain:
+            inverse = rotation(tuple(direction), -_angle(deck, before, fix.start))
+            point, axis = inverse @ (point - center) + center, inverse @ axis
+        across = [each for each, _, _ in chain if not _is_parallel(each, fix) and _overlap(each, fix)]
+        if across:
             fix.entry.impossible(
-                "a second rotation of a mesh about another axis",
-                "a second scene that starts with the mesh as it is then (start_from)",
+                f"a rotation during that of fix {across[0].name}, about an axis that is not parallel to it",
+                "rotations one after the other, or about parallel axes",
             )
-    for fix in same:
+            continue
+        chain.append((fix, point, axis))
         fix.entry.translated(f"walls.{wall}.motion")
-        _refuse_later_moves(deck, fix, moves)
-    place = {"point": quantities(point, "length"), "axis": [float(f"{each:.12g}") + 0.0 for each in axis]}
-    if len(same) == 1 and first.data.rate is not None:
-        rate = quantity(first.data.rate, "angular_velocity")
-        return [{"kind": "rotation", **place, "angular_velocity": rate, **_when(deck, first)}]
-    times, rates = _rates(deck, same, axis)
-    file = table(draft, f"{wall}_rotation", "angular_velocity [rad/s]", times, rates)
-    start = times[0]
-    return [{"kind": "table", "file": file, **place, **({"start": quantity(start, "time")} if start else {})}]
+        _remark_on_later_moves(deck, fix, moves)
+        place = {
+            "point": quantities([float(round(each, 12)) + 0.0 for each in point], "length"),
+            "axis": [float(f"{round(each, 14):.12g}") + 0.0 for each in axis.tolist()],
+        }
+        if fix.data.rate is not None:
+            rate = quantity(fix.data.rate, "angular_velocity")
+            found.append({"kind": "rotation", **place, "angular_velocity": rate, **_when(deck, fix)})
+            continue
+        times, rates = _rates(deck, fix)
+        name = f"{wall}_rotation" if len(turns) == 1 else f"{wall}_rotation_{len(chain)}"
+        file = table(draft, name, "angular_velocity [rad/s]", times, rates)
+        start = {"start": quantity(times[0], "time")} if times[0] else {}
+        found.append({"kind": "table", "file": file, **place, **start})
+    return found
+
+
+def _unit(axis: Vector) -> np.ndarray:
+    return np.array(axis) / hypot(*axis)
+
+
+def _is_parallel(first: Fix, second: Fix) -> bool:
+    return bool(abs(abs(_unit(first.data.axis) @ _unit(second.data.axis)) - 1.0) < 1e-9)
+
+
+def _overlap(first: Fix, second: Fix) -> bool:
+    """Whether two fixes act at the same time."""
+    return (first.end is None or first.end > second.start) and (
+        second.end is None or second.end > first.start
+    )
+
+
+def _angle(deck: Deck, turn: Fix, time: float) -> float:
+    """Angle [rad] by which a rotation has turned until a time [s]."""
+    move: Move = turn.data
+    end = time if turn.end is None else min(turn.end, time)
+    if move.track is not None:
+        return float(_integral(deck, turn, end)[0] * deck.si(1.0, "angular_velocity"))
+    assert move.angle is not None
+    return move.angle(end - turn.start)
 
 
 def _at_rest(deck: Deck, turn: Fix, moves: list[Fix]) -> Vector:
@@ -308,71 +342,55 @@ def _at_rest(deck: Deck, turn: Fix, moves: list[Fix]) -> Vector:
             end = turn.start if fix.end is None else min(fix.end, turn.start)
             shift += fix.data.displacement(end - fix.start)
             if fix.data.track is not None:
-                shift += _integral(deck, fix, end)
+                shift += _integral(deck, fix, end) * deck.si(1.0, "velocity")
     x, y, z = (float(round(each, 12)) + 0.0 for each in np.array(turn.data.point) - shift)
     return x, y, z
 
 
 def _integral(deck: Deck, fix: Fix, end: float) -> np.ndarray:
-    """Displacement [m] of a motion with velocities of variables until a time [s]."""
+    """Integral over time [s] of the variables of a motion until a time [s], in the units of the script."""
     times, values = fix.data.track.over([run for run in deck.acting(fix) if run.start < end - run.slack])
-    middle = 0.5 * (values[1:] + values[:-1]) * deck.si(1.0, "velocity")
+    middle = 0.5 * (values[1:] + values[:-1])
     return np.asarray((middle * np.diff(times)[:, None]).sum(axis=0))
 
 
-def _refuse_later_moves(deck: Deck, turn: Fix, moves: list[Fix]) -> None:
-    """Remark on translations that act during a rotation and began later: here they move its axis."""
+def _remark_on_later_moves(deck: Deck, turn: Fix, moves: list[Fix]) -> None:
+    """Remark on translations during a rotation, across its axis and given after it: here they move it."""
     index = deck.all_fixes.index(turn)
+    axis = _unit(turn.data.axis)
     for fix in moves:
-        overlaps = (fix.end is None or fix.end > turn.start) and (turn.end is None or turn.end > fix.start)
-        if fix.data.axis is None and deck.all_fixes.index(fix) > index and overlaps:
+        is_later = fix.data.axis is None and deck.all_fixes.index(fix) > index and _overlap(fix, turn)
+        ways = [fix.data.displacement(share * _length(deck, fix)) for share in (0.23, 0.51, 1.0)]
+        if is_later and (
+            fix.data.track is not None
+            or any(np.linalg.norm(np.cross(each, axis)) > 1e-9 * np.linalg.norm(each) for each in ways)
+        ):
             turn.entry.approximated(
                 f"the axis moves with the translation of fix {fix.name}; in the script it is at rest"
             )
 
 
-def _rates(deck: Deck, turns: list[Fix], axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] and angular velocities [rad/s] about an axis, added up where rotations overlap."""
-    pieces: list[tuple[np.ndarray, np.ndarray]] = []
-    for fix in turns:
-        move: Move = fix.data
-        sign = float(np.sign(np.array(move.axis) @ axis))
-        runs = deck.acting(fix)
-        start, end = runs[0].start, runs[-1].end
-        if move.track is not None:
-            times, values = move.track.over(runs)
-            pieces.append((times, sign * values[:, 0] * deck.si(1.0, "angular_velocity")))
-            continue
-        if move.rate is not None:
-            pieces.append((np.array([start, end]), np.full(2, sign * move.rate)))
-            continue
-        assert move.angle is not None
-        count = int(ROWS_PER_PERIOD * (end - start) / move.period) + 2
-        if count > MOST_TABLE_ROWS:
-            count = MOST_TABLE_ROWS
-            per_period = count * move.period / (end - start)
-            fix.entry.approximated(
-                f"the table of the motion has {per_period:.3g} rows per period; its velocities differ by up "
-                f"to {100 * (2.0 * pi / per_period) ** 2 / 8:.2g} %"
-            )
-        times = np.linspace(start, end, count)
-        step = 0.01 * (times[1] - times[0])
-        rates = np.array(
-            [(move.angle(t - start + step) - move.angle(t - start - step)) / (2 * step) for t in times]
+def _rates(deck: Deck, fix: Fix) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and angular velocities [rad/s] of a rotation that is not uniform."""
+    move: Move = fix.data
+    runs = deck.acting(fix)
+    start, end = runs[0].start, runs[-1].end
+    if move.track is not None:
+        times, values = move.track.over(runs)
+        return times, values[:, 0] * deck.si(1.0, "angular_velocity")
+    assert move.angle is not None
+    count = int(ROWS_PER_PERIOD * (end - start) / move.period) + 2
+    if count > MOST_TABLE_ROWS:
+        count = MOST_TABLE_ROWS
+        per_period = count * move.period / (end - start)
+        fix.entry.approximated(
+            f"the table of the motion has {per_period:.3g} rows per period; its velocities differ by up "
+            f"to {100 * (2.0 * pi / per_period) ** 2 / 8:.2g} %"
         )
-        pieces.append((times, sign * rates))
-    if len(pieces) == 1:
-        return pieces[0]
-    gap = 2.0 * (deck.time_step or 1e-6)
-    every = sorted({float(t) for times, _ in pieces for t in times})
-    rows = [every[0]]
-    for t in every[1:]:
-        rows += [t] if t - rows[-1] < 3.0 * gap else [t - gap, t]
-    total = np.zeros(len(rows))
-    for times, rates in pieces:
-        inside = [times[0] - 0.5 * gap <= t < times[-1] - 0.5 * gap for t in rows]
-        total += np.where(inside, np.interp(rows, times, rates), 0.0)
-    return np.array(rows), total
+    times = np.linspace(start, end, count)
+    step = 0.01 * (times[1] - times[0])
+    rates = [(move.angle(t - start + step) - move.angle(t - start - step)) / (2 * step) for t in times]
+    return times, np.array(rates)
 
 
 def table(draft: Draft, name: str, column: str, times: np.ndarray, values: np.ndarray) -> str:
@@ -469,9 +487,7 @@ def _segments(times: np.ndarray, values: np.ndarray) -> list[tuple[float, float,
 # Tables
 
 FIXES: dict[str, Translation] = {
-    "move/mesh": Translation(
-        move_mesh, "walls.NAME.motion", f"{', '.join(STYLES)}; at most one axis of rotation per mesh"
-    ),
+    "move/mesh": Translation(move_mesh, "walls.NAME.motion", f"{', '.join(STYLES)}; several form a chain"),
 }
 COMMANDS: dict[str, Translation] = {}
 STAGED.add("move/mesh")

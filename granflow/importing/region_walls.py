@@ -1,12 +1,12 @@
 """Walls on the surfaces of regions (fix wall/gran/region of LAMMPS).
 
 Each face of a region becomes a wall: a block a box, a cylinder or cone its lateral surface and discs at its
-ends, a sphere a mesh. Faces of unions that lie inside of another part are left out. A region that is defined
-again or jumps between runs begins an episode with walls of its own.
+ends. Faces of unions that lie inside of another part are left out. A region that is defined again or jumps
+between runs begins an episode with walls of its own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from granflow.importing.deck import Deck, Fix, Region, Run
 from granflow.importing.materials import WallContact
-from granflow.importing.meshes import clean, rotation, stl
+from granflow.importing.meshes import clean, rotation
 from granflow.importing.motion import Pose, region_motions
 from granflow.importing.regions import UNBOUNDED, in_region, region_at
 from granflow.importing.report import Entry
@@ -29,8 +29,6 @@ SAMPLES = 12
 """Points along each direction of a face that decide whether it is inside of another region."""
 OFFSET = 1e-6
 """Distance of these points from the face over the size of the region."""
-SPHERE_DIVISIONS = 3
-"""Divisions of an icosahedron for a sphere: 1280 triangles."""
 
 
 @dataclass
@@ -49,7 +47,6 @@ class Face:
     points: dict[str, np.ndarray]
     vectors: dict[str, np.ndarray]
     lengths: dict[str, float]
-    triangles: np.ndarray | None = None
 
     def keys(self) -> dict[str, Any]:
         """The keys of the wall, without material."""
@@ -69,7 +66,6 @@ class Face:
             {name: turn @ (point - center) + center + shift for name, point in self.points.items()},
             {name: vector @ turn.T for name, vector in self.vectors.items()},
             self.lengths,
-            None if self.triangles is None else (self.triangles - center) @ turn.T + center + shift,
         )
 
 
@@ -146,42 +142,8 @@ def _plane(deck: Deck, region: Region) -> tuple[dict[str, Face], tuple[str, ...]
 
 
 def _sphere(deck: Deck, region: Region) -> tuple[dict[str, Face], tuple[str, ...]]:
-    """A mesh of triangles whose mean distance from the center is the radius."""
-    triangles = icosphere(SPHERE_DIVISIONS)
     *center, radius = region.numbers
-    mean = np.linalg.norm(triangles.mean(axis=1), axis=1).mean()
-    scale = radius * 2.0 / (1.0 + mean)
-    region.entry.approximated(
-        f"the sphere is a mesh of {len(triangles)} triangles, within {100 * (1 - mean) / (1 + mean):.2g} % "
-        "of its radius"
-    )
-    return {"sphere": Face("mesh", {}, {}, {}, scale * triangles + np.array(center))}, ("sphere",)
-
-
-def icosphere(divisions: int) -> np.ndarray:
-    """Triangles (n, 3, 3) with corners on the unit sphere, from an icosahedron."""
-    phi = 0.5 * (1.0 + 5.0**0.5)
-    corners = np.array([[s, t * phi, 0.0] for s in (-1, 1) for t in (-1, 1)])
-    points = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)])
-    edge = 2.0 + 1e-9
-    near = np.linalg.norm(points[:, None] - points, axis=2) < edge
-    found = [
-        points[[i, j, k]]
-        for i in range(12)
-        for j in range(i + 1, 12)
-        for k in range(j + 1, 12)
-        if near[i, j] and near[j, k] and near[i, k]
-    ]
-    triangles = np.array(found)
-    triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
-    for _ in range(divisions):
-        a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-        ab, bc, ca = (
-            (p + q) / np.linalg.norm(p + q, axis=1, keepdims=True) for p, q in ((a, b), (b, c), (c, a))
-        )
-        quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-        triangles = np.concatenate([np.stack(each, axis=1) for each in quarters])
-    return triangles
+    return {"sphere": Face("sphere", {"center": np.array(center)}, {}, {"radius": radius})}, ("sphere",)
 
 
 # Which points are inside a region, on both sides of a face
@@ -217,10 +179,10 @@ def samples(face: Face, region: Region) -> tuple[np.ndarray, np.ndarray]:
         wide = np.asarray(low + (high - low) * v)
         points = start + np.outer(v, end - start) + wide[:, None] * around
         return points, around
-    if face.triangles is not None:
-        middle = face.triangles.mean(axis=1)
-        away = middle - np.array(region.numbers[:3])
-        return middle, away / np.linalg.norm(away, axis=1, keepdims=True)
+    if face.shape == "sphere":
+        along, across = 1.0 - 2.0 * v, 2.0 * np.sqrt(v * (1.0 - v))
+        away = np.stack([across * np.cos(2 * pi * u), across * np.sin(2 * pi * u), along], axis=1)
+        return face.points["center"] + face.lengths["radius"] * away, away
     return np.zeros((0, 3)), np.zeros((0, 3))
 
 
@@ -252,7 +214,7 @@ def parts_of(deck: Deck, region: Region, time: float, entry: Entry) -> list[Part
                 if not len(points):
                     continue
                 size = np.ptp(points, axis=0).max()
-                borders = _borders(region, regions, points, OFFSET * size * normals)
+                borders = _borders(_hiding(region, leaf, regions), regions, points, OFFSET * size * normals)
                 if not borders.any():
                     del faces[name]
                 elif not borders.all() and region.kind == "union" and region.inside:
@@ -262,6 +224,14 @@ def parts_of(deck: Deck, region: Region, time: float, entry: Entry) -> list[Part
                     )
         found.append(Part(leaf, faces, not leaf.inside or len(leaves) > 1))
     return found
+
+
+def _hiding(region: Region, leaf: Region, regions: dict[str, Region]) -> Region:
+    """A union without the other parts that have open faces: LAMMPS hides no face behind these."""
+    if region.kind != "union" or not region.inside:
+        return region
+    parts = (each for each in region.parts if each == leaf.name or not regions[each].open)
+    return replace(region, parts=tuple(parts))
 
 
 def _borders(region: Region, regions: dict[str, Region], points: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -364,10 +334,7 @@ def _write(
     if region.motion is not None and pose.angle:
         turn, center = rotation(region.motion.axis, pose.angle), np.array(region.motion.point)
     for face_name, face in faces.items():
-        placed = face.moved(turn, center, pose.shift)
-        keys = placed.keys()
-        if placed.triangles is not None:
-            keys["file"] = draft.add_file(f"{name}.stl", stl(placed.triangles))
+        keys = face.moved(turn, center, pose.shift).keys()
         free = name if len(faces) == 1 else wall_name(draft, f"{name}_{face_name}")
         draft.put(("walls", free), {**keys, **common}, fix.entry, region.entry)
 

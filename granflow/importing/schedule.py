@@ -6,16 +6,13 @@ The runs of the script become stages where something that acts changes between t
 from collections.abc import Sequence
 from math import cos, hypot, radians, sin
 
-from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible, not_needed
+from granflow.importing.deck import DEFAULT_STEPS, Deck, Fix, Run, Translation, Words, impossible, not_needed
 from granflow.importing.language import Command, DeckError
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
 
 LARGEST_FRAMES = 2000
 """Number of frames above which an interval of output is enlarged."""
-
-DEFAULT_STEPS = {"si": 1e-8, "cgs": 1e-8, "micro": 2.0, "nano": 0.00045, "lj": 0.005}
-"""Time step of a script without timestep, in its units."""
 
 # Time
 
@@ -47,9 +44,11 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
         else:
             raise DeckError(command, f"run has no keyword {keyword}; it has upto, start, stop, pre and post.")
     if deck.time_step is None:
-        default = DEFAULT_STEPS[deck.units]
-        deck.time_step = deck.si(default, "time")
-        deck.interpreter.facts["dt"] = default
+        deck.time_step = deck.step_here
+        deck.interpreter.facts["dt"] = DEFAULT_STEPS[deck.units]
+    facts = deck.interpreter.facts
+    if _separates(deck):
+        deck.own("separating", list).append(entry)
     end = deck.time + steps * deck.time_step
     active = tuple(deck.fixes)
     if steps == 0:
@@ -59,8 +58,13 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
         follow(deck, deck.runs[-1])
     deck.time = end
     deck.step += steps
-    facts = deck.interpreter.facts
     facts.update(step=deck.step, elapsed=0.0, time=facts["time"] + steps * facts["dt"])
+
+
+def _separates(deck: Deck) -> bool:
+    """Whether the next run separates random particles, by a limited displacement or a soft potential."""
+    is_limited = any(fix.style == "nve/limit" for fix in deck.fixes.values())
+    return bool(deck.own("fills", list)) and (is_limited or deck.family.get("pair_style") == "soft")
 
 
 def reset_timestep(deck: Deck, command: Command, entry: Entry) -> None:
@@ -73,6 +77,8 @@ def reset_timestep(deck: Deck, command: Command, entry: Entry) -> None:
 def unfix(deck: Deck, command: Command, entry: Entry) -> None:
     """unfix ID"""
     name = Words(deck, command, command.words).word("the name of a fix")
+    if name in deck.fixes and deck.fixes[name].style == "nve/limit":
+        deck.drop_separating_runs()
     if name not in deck.fixes:
         raise DeckError(
             command, f"there is no fix {name} to unfix. Fixes: {', '.join(deck.fixes) or 'none'}."
@@ -224,12 +230,7 @@ def build(deck: Deck, draft: Draft) -> None:
     if deck.time_step is not None:
         steps = sorted({run.time_step for run in deck.runs if run.steps})
         entries = [deck.time_step_entry] if deck.time_step_entry else []
-        if deck.automatic_step:
-            for each in entries:
-                each.translated("run.time_step")
-                each.approximated(f"{deck.automatic_step}; the step is automatic")
-        else:
-            draft.put(("run", "time_step"), quantity(steps[0] if steps else deck.time_step, "time"), *entries)
+        draft.put(("run", "time_step"), quantity(steps[0] if steps else deck.time_step, "time"), *entries)
         if len(steps) > 1 and entries:
             entries[0].approximated(
                 f"the time step changes to {steps[-1]:g} s; the smallest is taken for all"
@@ -268,25 +269,24 @@ def _domain(deck: Deck, draft: Draft) -> None:
         return
     low, high = list(deck.box[::2]), list(deck.box[1::2])
     periodic = [axis for k, axis in enumerate("xyz") if deck.boundary[2 * k] == "p"]
-    open_axes = [k for k in range(3) if deck.boundary[2 * k] != "p"]
-    shrinking = [k for k in open_axes if set(deck.boundary[2 * k : 2 * k + 2]) & {"m", "s"}]
+    sides = [k for k in range(6) if deck.boundary[k] != "p"]
+    growing = [k for k in sides if deck.boundary[k] in "ms"]
     lost = lost_in(deck)
     entries = [each for each in (deck.boundary_entry, deck.family.get("lost_entry")) if each]
     keys: dict[str, object] = {}
-    if not open_axes:
+    if not sides:
         on_exit = "error"
-    elif len(shrinking) == len(open_axes):
+    elif len(growing) == len(sides):
         on_exit = "expand"
     else:
-        on_exit = "error" if lost == "error" and not shrinking else "delete"
-        if shrinking:
-            for k in shrinking:
-                size = high[k] - low[k]
-                for side, sign, corner in ((0, -1, low), (1, 1, high)):
-                    if deck.boundary[2 * k + side] in "ms":
-                        corner[k] += sign * size
+        on_exit = "error" if lost == "error" else "delete"
+        for k in growing:
+            corner = high if k % 2 else low
+            corner[k // 2] += (2 * (k % 2) - 1) * (deck.box[k // 2 * 2 + 1] - deck.box[k // 2 * 2])
+        if growing:
+            names = ", ".join(f"{'xyz'[k // 2]}{('lo', 'hi')[k % 2]}" for k in growing)
             entries[0].approximated(
-                "only some axes grow with the particles: the box is enlarged by its own size there"
+                f"only some sides grow with the particles: {names} is enlarged by the size of the box"
             )
     keys = {"min": quantities(low, "length"), "max": quantities(high, "length")}
     if periodic:
@@ -425,7 +425,6 @@ COMMANDS: dict[str, Translation] = {
         "write the particles with the code itself (write_data FILE) and start from read_data",
     ),
     "clear": impossible("a second simulation in one script", "import a script for each"),
-    "minimize": impossible("minimize", "a stage with damping: {cundall: 0.5}"),
     "rerun": impossible("rerun", "granflow analyze"),
     "read_dump": impossible("read_dump", "read_data, or insert: {kind: file}"),
     "write_restart": not_needed("a run writes a checkpoint at its end"),
@@ -461,7 +460,6 @@ FIXES: dict[str, Translation] = {
     "viscous": Translation(viscous, "damping.drag", "a rate: the coefficient over the mass"),
     "nve/sphere": not_needed("particles that are not fixed are integrated"),
     "nve": not_needed("particles that are not fixed are integrated"),
-    "nve/limit": impossible("a limit of the displacement", "kind: pack, which inserts without overlap"),
     "check/timestep/gran": not_needed("granflow check verifies the time step"),
     "print": not_needed("timeseries.csv has the results"),
     "balance": not_needed(_COMMUNICATION),

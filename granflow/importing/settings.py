@@ -5,7 +5,7 @@ sources, at the start of a stage.
 """
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, pi
 from typing import Any
 
 import numpy as np
@@ -97,32 +97,119 @@ def _value_of(deck: Deck, command: Command, word: str) -> str:
         raise DeckError(command, f"{word} has no number: {error}; give one, such as 0.5.") from None
 
 
+BOLTZMANN = {"si": 1.380649e-23, "cgs": 1.380649e-16, "micro": 1.380649e-8, "nano": 0.01380649, "lj": 1.0}
+"""Boltzmann's constant in the units of the script."""
+
+
 def velocity(deck: Deck, command: Command, entry: Entry) -> None:
-    """velocity GROUP set VX VY VZ"""
-    words = Words(deck, command, command.words)
+    """velocity GROUP set VX VY VZ | create T SEED | scale T | ramp VX LO HI X LO HI | zero linear"""
+    words = Words(deck, command, tuple(_value_of(deck, command, each) for each in command.words))
     group = words.word("a group")
     style = words.word("the style")
     points: Points | None = deck.family.get("points")
-    if points is not None and deck.time > 0.0:
+    if deck.time > 0.0:
         entry.impossible("changes of particles during the simulation", CHANGES)
         return
-    if points is None and deck.time == 0.0:
+    if points is None:
         entry.not_needed("the box has no particles yet, so that it changes none")
-        return
-    if style != "set" or points is None:
-        entry.impossible(f"velocity {style}", "velocity or thermal of the group")
         return
     chosen = chosen_points(deck, command, points, "group", group)
     if chosen is None:
         entry.impossible(f"the velocities of the group {group}", "a group of a region, type or id")
         return
-    spacing = 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
+    if style not in VELOCITIES:
+        entry.impossible(f"velocity {style}", "velocity or thermal of the group")
+        return
+    VELOCITIES[style](deck, words, points, chosen, entry)
+    entry.translated("particles")
+
+
+def _spacing(deck: Deck, words: Words) -> float:
+    """Factor of the velocities of a command: the spacing of the lattice unless `units box` follows."""
+    return 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
+
+
+def _set_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
+    spacing = _spacing(deck, words)
     for k in range(3):
         if words.next == "NULL":
             words.word("a velocity")
         else:
             points.motion[chosen, k] = spacing * words.number("a velocity", "velocity")
-    entry.translated("particles")
+
+
+def _energy_of(deck: Deck, temperature: float, count: int) -> float:
+    """Twice the kinetic energy [J] of particles at a temperature of the script: (3 n - 3) k T."""
+    return max(3 * count - 3, 0) * deck.si(BOLTZMANN[deck.units] * temperature, "energy")
+
+
+def _create_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
+    """Random velocities with a temperature and without momentum.
+
+    As LAMMPS: components from a uniform distribution (dist gaussian: normal) over the root of the mass,
+    without the velocity of the center of mass (mom yes), scaled to the temperature; sum yes adds them.
+    """
+    temperature = words.number("the temperature")
+    random = np.random.default_rng(words.whole("the seed"))
+    options = {"dist": "uniform", "mom": "yes", "rot": "no", "sum": "no"}
+    while words:
+        key = words.word("a keyword")
+        options[key] = words.word(f"a value of {key}")
+    mass = points.density[chosen] * points.radius[chosen] ** 3 * 4.0 / 3.0 * pi
+    shape = (len(mass), 3)
+    is_normal = options["dist"] == "gaussian"
+    drawn = random.standard_normal(shape) if is_normal else random.uniform(-0.5, 0.5, shape)
+    drawn /= np.sqrt(mass)[:, None]
+    if options["mom"] == "yes":
+        drawn -= mass @ drawn / mass.sum()
+    energy = float((mass[:, None] * drawn**2).sum())
+    wanted = _energy_of(deck, temperature, len(mass))
+    drawn *= np.sqrt(wanted / energy) if energy > 0.0 else 0.0
+    points.motion[chosen, :3] = drawn + (points.motion[chosen, :3] if options["sum"] == "yes" else 0.0)
+    entry.approximated(
+        "the random velocities differ from those of the code; their energy and momentum are equal"
+    )
+    if options["rot"] == "yes":
+        entry.approximated("their angular momentum is not removed")
+
+
+def _scale_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
+    mass = points.density[chosen] * points.radius[chosen] ** 3 * 4.0 / 3.0 * pi
+    wanted = _energy_of(deck, words.number("the temperature"), len(mass))
+    energy = float((mass[:, None] * points.motion[chosen, :3] ** 2).sum())
+    if energy > 0.0:
+        points.motion[chosen, :3] *= np.sqrt(wanted / energy)
+
+
+def _ramp_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
+    """ramp VX LO HI X LO HI: a velocity that is linear between two places."""
+    spacing = _spacing(deck, words)
+    component = words.word("vx, vy or vz")
+    low, high = (spacing * words.number("a velocity", "velocity") for _ in "12")
+    axis = words.word("x, y or z")
+    start, end = (spacing * words.number("a place", "length") for _ in "12")
+    if component not in ("vx", "vy", "vz") or axis not in ("x", "y", "z") or start == end:
+        raise DeckError(words.command, "a ramp is vx LO HI y LO HI with two different places.")
+    share = np.clip((points.position[chosen, "xyz".index(axis)] - start) / (end - start), 0.0, 1.0)
+    points.motion[chosen, "xyz".index(component[1])] = low + share * (high - low)
+
+
+def _zero_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
+    if words.word("linear or angular") != "linear":
+        entry.approximated("the angular momentum is not removed")
+        return
+    mass = points.density[chosen] * points.radius[chosen] ** 3
+    points.motion[chosen, :3] -= mass @ points.motion[chosen, :3] / mass.sum()
+
+
+VELOCITIES = {
+    "set": _set_velocity,
+    "create": _create_velocity,
+    "scale": _scale_velocity,
+    "ramp": _ramp_velocity,
+    "zero": _zero_velocity,
+}
+"""Styles of the command velocity."""
 
 
 def _set_property(deck: Deck, words: Words, entry: Entry, style: str, which: str) -> None:
@@ -306,7 +393,9 @@ COMMANDS: dict[str, Translation] = {
     "set": Translation(
         set_, "particles, stages.NAME.set", "before the first run; property/atom Temp, heatSource at any time"
     ),
-    "velocity": Translation(velocity, "particles", "set, particles that exist at the start"),
+    "velocity": Translation(
+        velocity, "particles", "set, create, scale, ramp, zero; particles that exist at the start"
+    ),
 }
 FIXES: dict[str, Translation] = {
     "property/atom": Translation(

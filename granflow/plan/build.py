@@ -12,7 +12,7 @@ from math import ceil
 import numpy as np
 
 from granflow.contact.law import NormalLaw
-from granflow.errors import SceneError
+from granflow.errors import SceneError, UnstableTimeStepError
 from granflow.load import Scene, refuse_other_object
 from granflow.particles.group import groups_of
 from granflow.plan.features import features_of
@@ -49,6 +49,7 @@ from granflow.plan.stages import refuse_unresolved_drag
 from granflow.plan.time_step import (
     AdaptiveTimeStep,
     TimeStep,
+    UnstableStep,
     adaptive_time_step_for,
     choose_time_step,
     max_impact_velocity,
@@ -74,7 +75,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     try:
         plan = _plan_without_forecasts(scene, on_gpu)
     except SceneError as error:  # errors of time step and velocities can result from a wrong unit of a length
-        raise SceneError([*size_problems(scene), *error.problems]) from None
+        sizes = [*size_problems(scene)]
+        if not sizes:
+            raise
+        raise SceneError([*sizes, *error.problems]) from None
     return replace(plan, forecasts=tuple(forecasts_of(plan)))
 
 
@@ -166,7 +170,7 @@ def _wall_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> 
 def _time_step(
     scene: Scene, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float, diameter: float
 ) -> TimeStep:
-    """Time step of the scene with its warnings. Raises SceneError if the given one is not stable.
+    """Time step of the scene with its warnings. Raises UnstableTimeStepError if the given one is not stable.
 
     `velocity` [m/s]: maximum expected impact velocity; `diameter` [m]: of the largest particle.
     """
@@ -174,8 +178,9 @@ def _time_step(
     fractions = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
     try:
         step = choose_time_step(given, pair_cases, law, velocity, *fractions)
-    except ValueError as error:
-        raise SceneError(f"{scene.locate('run', 'time_step')}: run.time_step {error}") from None
+    except UnstableStep as error:
+        where = scene.locate("run", "time_step")
+        raise UnstableTimeStepError(where, f"run.time_step {error.reason}", error.remedy) from None
     precision = scene.run.precision
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     reach = farthest if precision == "f32" else diameter

@@ -126,6 +126,14 @@ class TimeStep:
         return f"numerics.time_step_fraction: {step / self.shortest_phase:.3g}"
 
 
+class UnstableStep(ValueError):
+    """A given time step is above the stability limit, with the reason and the remedy as sentences."""
+
+    def __init__(self, reason: str, remedy: str) -> None:
+        super().__init__(f"{reason}. {remedy}")
+        self.reason, self.remedy = reason, remedy
+
+
 def choose_time_step(
     given: float | None,
     pair_cases: Sequence[PairCase],
@@ -140,7 +148,7 @@ def choose_time_step(
     time, the stable step, and STEP_SHARE of the smallest radius at `velocity` [m/s], the maximum expected
     impact velocity. `given` [s]: only the stable step limits it.
 
-    Raises ValueError with one sentence if the given time step exceeds the stable time step.
+    Raises UnstableStep if the given time step exceeds the stable time step.
     """
     resolved, name = min(
         (fraction * pair_case.shortest_phase(law, velocity), pair_case.name) for pair_case in pair_cases
@@ -164,9 +172,10 @@ def choose_time_step(
     if given is not None:
         limited_by = "given in the scene"
     if value > stable:
-        raise ValueError(
+        raise UnstableStep(
             f"is {value:.3g} s, above the stability limit {stable:.3g} s ({stable_name} at {velocity:.3g} "
-            f"m/s). Lower it to {chosen:.2g} s or remove it."
+            "m/s)",
+            f"Lower it to {chosen:.2g} s or remove it.",
         )
     step = TimeStep(
         value=value,

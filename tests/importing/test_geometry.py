@@ -10,7 +10,6 @@ import yaml
 import granflow as gf
 from granflow.importing.convert import convert
 from granflow.importing.language import DeckError
-from granflow.importing.region_walls import icosphere
 from granflow.plan.build import plan_for
 from granflow.scene.blocks.motions import poses_at
 
@@ -134,7 +133,7 @@ def square(tmp_path):
                     "kind": "rotation",
                     "point": ["50 mm", "50 mm", 0],
                     "axis": [0, 0, 1],
-                    "angular_velocity": "10 rad/s",  # 0.5 m/s over 50 mm
+                    "angular_velocity": "0.5 rad/s",  # as measured: no velocity of the surface
                 }
             },
         ),
@@ -252,28 +251,76 @@ def test_motions_of_a_mesh_in_sequence(tmp_path, square):
     assert found.report.is_complete
 
 
-def test_two_axes_of_rotation_are_not_possible(tmp_path, square):
-    walls = (
-        f"fix cad all {square}\n{MOVED}fix m1 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 1 period 1\n"
-        "fix m2 all move/mesh mesh cad rotate origin 0 0 0 axis 1 0 0 period 1\nrun 1000"
-    )
+TURN = "fix m1 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 1 period 0.04\n"
+
+
+def rotated(axis, angle, point, x):
+    """A point after a rotation by an angle [rad] about an axis x or z through a point."""
+    c, s = cos(angle), sin(angle)
+    turn = [[c, -s, 0], [s, c, 0], [0, 0, 1]] if axis == "z" else [[1, 0, 0], [0, c, -s], [0, s, c]]
+    return np.array(turn) @ (np.array(x) - point) + point
+
+
+@pytest.mark.parametrize(
+    ("moves", "corner"),
+    [
+        # planetary: the second axis is carried along by the first rotation, and is at (0.02, 0, 0) when it begins
+        (
+            f"{TURN}fix m2 all move/mesh mesh cad rotate origin 0.02 0 0 axis 0 0 1 period -0.03\nrun 1000",
+            lambda x: rotated("z", pi / 2, [0, 0, 0], rotated("z", -2 * pi / 3, [0.02, 0, 0], x)),
+        ),
+        # one after the other: the second axis is at rest in space
+        (
+            f"{TURN}run 1000\nunfix m1\n"
+            "fix m2 all move/mesh mesh cad rotate origin 0 0.01 0 axis 1 0 0 period 0.08\nrun 1000",
+            lambda x: rotated("x", pi / 4, [0, 0.01, 0], rotated("z", pi / 2, [0, 0, 0], x)),
+        ),
+        # about one axis with another rate
+        (
+            f"{TURN}run 1000\nunfix m1\n"
+            "fix m2 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 -1 period 0.08\nrun 1000",
+            lambda x: rotated("z", pi / 2 - pi / 4, [0, 0, 0], x),
+        ),
+    ],
+)
+def test_rotations_of_a_mesh_are_a_chain(tmp_path, square, moves, corner):
+    """The first place is that of LIGGGHTS 3.8, to 1e-7 m, with ten times these lengths."""
+    found, _ = imported(tmp_path, liggghts(f"fix cad all {square} move 0.01 0.002 0.003\n{MOVED}{moves}"))
+    assert found.report.is_complete
+    (wall,) = plan_for(checked(tmp_path, found)).walls
+    place = np.array([0.01, 0.002, 0.003])
+    for motion in reversed(wall.motions):  # each acts for 10 ms; the last is in the frame of those before
+        pose = poses_at([motion], np.array([0.01]))
+        place = pose.rotation[0] @ (place - pose.pivot) + pose.pivot + pose.offset[0]
+    np.testing.assert_allclose(place, corner([0.01, 0.002, 0.003]), atol=1e-9)
+
+
+def test_rotations_about_crossed_axes_at_the_same_time_are_not_possible(tmp_path, square):
+    walls = f"fix cad all {square}\n{MOVED}{TURN}{TURN.replace('m1', 'm2').replace('0 0 1', '1 0 0')}run 1000"
     found, _ = imported(tmp_path, liggghts(walls))
-    assert "a second rotation of a mesh about another axis" in sentences(found, "fix m2")
+    assert "a rotation during that of fix m1, about an axis that is not parallel" in sentences(
+        found, "fix m2"
+    )
 
 
-def test_rotations_about_one_axis_are_a_table(tmp_path, square):
+def test_only_translations_across_an_axis_move_it(tmp_path, square):
+    """A rotation is given before a translation: in the script its axis is at rest."""
+    for velocity, is_told in (("0 0 1", False), ("1 0 0", True)):
+        walls = f"fix cad all {square}\n{MOVED}{TURN}fix m2 all move/mesh mesh cad linear {velocity}\nrun 9"
+        found, _ = imported(tmp_path, liggghts(walls))
+        assert ("the axis moves with the translation" in sentences(found, "fix m1")) is is_told
+
+
+def test_mesh_whose_wall_is_given_again_remains(tmp_path, square):
+    """A script takes the plug away: the fix of both meshes ends, and another one has the hopper alone."""
     walls = (
-        f"fix cad all {square}\n{MOVED}fix m1 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 1 period 1\n"
-        "run 1000\nunfix m1\n"
-        "fix m2 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 -1 period 2\nrun 2000"
+        f"fix hopper all {square}\nfix plug all {square} move 0 0 0.1\n"
+        f"fix w all {GRANULAR} mesh n_meshes 2 meshes hopper plug\nrun 100\nunfix w\n"
+        f"fix w all {GRANULAR} mesh n_meshes 1 meshes hopper\nrun 100"
     )
     found, scene = imported(tmp_path, liggghts(walls))
-    motion = scene["walls"]["cad"]["motion"]
-    rows = np.loadtxt(found.files[motion["file"]].decode().splitlines(), skiprows=1, delimiter=",")
-    # 2 pi/s for 10 ms, then -pi/s for 20 ms
-    angle = np.sum(0.5 * (rows[1:, 1] + rows[:-1, 1]) * np.diff(rows[:, 0]))
-    assert angle == pytest.approx(0.02 * pi - 0.02 * pi, abs=2e-4)
-    assert rows[0].tolist() == pytest.approx([0, 2 * pi]) and rows[-2, 1] == pytest.approx(-pi)
+    assert set(scene["walls"]) == {"hopper", "plug"} and found.report.is_complete
+    assert "stages" not in scene["walls"]["hopper"] and scene["walls"]["plug"]["stages"] == ["stage_1"]
 
 
 def test_wall_that_vanishes(tmp_path):
@@ -370,6 +417,7 @@ def test_stream_through_a_face(tmp_path, square, all_in, margin):
         ("block 0 0.1 0 0.1 0 0.2", {"w": {"shape": "box", "min": [0, 0, 0], "max": ["100 mm", "100 mm", "200 mm"]}}),
         ("block 0 0.1 0 0.1 0 0.2 open 6", {"w": {"open": ["top"], "finite": True}}),
         ("block 0.04 0.06 0.04 0.06 0 0.02 side out", {"w": {"shape": "box", "finite": True}}),
+        ("sphere 0.05 0.05 0.1 0.04", {"w": {"shape": "sphere", "radius": "40 mm"}}),
         ("plane 0 0 0.01 0 0 2", {"w": {"shape": "plane", "normal": [0, 0, 2]}}),
         ("plane 0 0 0.01 0 0 -1 side out", {"w": {"shape": "plane", "normal": [0, 0, 1]}}),
         ("cylinder z 0.05 0.05 0.04 0 0.2", {"w_bottom": {"radius": "40 mm"}, "w_top": {}, "w_side": {"shape": "cylinder"}}),
@@ -393,6 +441,17 @@ def test_faces_inside_a_union_are_left_out(tmp_path):
     found, scene = imported(tmp_path, lammps(walls))
     assert set(scene["walls"]) == {"w_tube_bottom", "w_tube_side", "w_hopper"}
     assert found.report.is_complete
+
+
+def test_faces_at_an_open_part_of_a_union_remain(tmp_path):
+    """LAMMPS hides no face behind a region with open faces: measured, a tube without `open` keeps its bottom."""
+    walls = (
+        "region tube cylinder z 0.05 0.05 0.04 0.1 0.2{}\nregion cone cone z 0.05 0.05 0.01 0.04 0 0.1 open 1 open 2\n"
+        f"region both union 2 tube cone\nfix w all wall/gran/region {HOOKE} region both\nrun 100"
+    )
+    for opened, is_wall in (("", True), (" open 1", False)):
+        _, scene = imported(tmp_path, lammps(walls.replace("{}", opened)))
+        assert ("w_tube_bottom" in scene["walls"]) is is_wall
 
 
 def test_union_with_an_opening_is_not_possible(tmp_path):
@@ -459,12 +518,14 @@ def test_motion_that_follows_the_simulation_is_not_possible(tmp_path):
     assert "c_c is a result of the simulation" in sentences(found, "region r")
 
 
-def test_sphere_is_a_mesh():
-    """V - E + F = 2 with E = 3 F / 2, corners on the unit sphere."""
-    triangles = icosphere(2)
-    corners = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0)
-    assert len(triangles) == 320 and len(corners) == 2 + len(triangles) // 2
-    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1.0, rtol=1e-8)
+def test_sphere_on_a_block_has_its_outer_half(tmp_path):
+    """The part of a sphere inside of the block of a union is no wall; half of it is an opening of the block."""
+    walls = (
+        "region ball sphere 0.05 0.05 0.1 0.02\nregion bin block 0 0.1 0 0.1 0 0.1\n"
+        f"region both union 2 ball bin\nfix w all wall/gran/region {HOOKE} region both\nrun 100"
+    )
+    found, _ = imported(tmp_path, lammps(walls))
+    assert "the face sphere of region ball has an opening" in sentences(found, "fix w")
 
 
 # Box, shear, clumps, errors

@@ -5,6 +5,7 @@ import re
 from math import exp, pi, sqrt
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -12,9 +13,9 @@ import granflow as gf
 from granflow.cli.main import main
 from granflow.contact.theory import damping_ratio_for
 from granflow.importing.convert import all_commands, all_fixes, convert
-from granflow.importing.insertion import pour_flows
 from granflow.importing.language import DeckError
 from granflow.importing.materials import collision, free_restitution, plastic_collision, tsuji
+from granflow.units import to_si
 
 LIGGGHTS = """
 atom_style granular
@@ -264,11 +265,39 @@ def test_dashpot_of_hysteresis_lowers_the_restitution(tmp_path):
     assert scene["pairs"]["type1-type1"]["restitution"] < 0.5
 
 
-def test_batches_of_pour():
-    """100 particles in batches of 30 every 0.5 s are four showers; many batches are one rain."""
-    flows = pour_flows(100, 30.0, 0.5, 0.0, 10.0)
-    assert [(n, start) for n, _, start, _ in flows] == [(30, 0.0), (30, 0.5), (30, 1.0), (10, 1.5)]
-    assert pour_flows(10_000, 30.0, 0.5, 1.0, 10.0) == [(10_000, 60.0, 1.0, 10.0)]
+def test_pour_enters_at_the_lower_end_of_its_region(tmp_path):
+    """A fall of 50 mm from 2 m/s takes (sqrt(4 + 1) - 2) / 10 s = 23.6 ms and ends with sqrt(5) m/s.
+
+    LAMMPS counts the steps of this time with the step at the line of the fix: 2361 steps of 10 us are 4.72 ms
+    later with 2 us. A batch has 0.25 20 x 20 x 50 mm3 / (pi/6 (4 mm)3) = 149 particles.
+    """
+    model = "pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1"
+    source = "region s block 0.04 0.06 0.04 0.06 0.1 0.15\nfix p all pour 1000 1 7 region s diam one 0.004 "
+    source += "dens 2500 2500 vel 0.1 0.3 0 0 -2"
+    for count, change, rate in (
+        (1000, "", 149 / 0.02361),
+        (1000, "timestep 2e-6", 149 / 4.722e-3),
+        (100, "", 100 / 0.023607),
+    ):
+        text = LAMMPS.format(model=model).replace("spherical 0 150", "vector 0 0 -1")
+        text = text.replace(
+            "fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500", f"{source}\n{change}"
+        )
+        text = text.replace("pour 1000", f"pour {count}").replace("run 100\n", "run 20000\n")
+        found, scene = imported(tmp_path, text)
+        group = scene["particles"]["p"]
+        assert group["velocity"][0] == "200 mm/s" and group["count"] == min(count, 894)
+        if count == 1000:  # six batches, and the rest in the time of one
+            rest = scene["particles"]["p_2"]
+            assert rest["count"] == 106
+            assert to_si(rest["insert"]["start"], "time") == pytest.approx(6 * 149 / rate, rel=1e-3)
+            assert float(rest["insert"]["rate"].split()[0]) == pytest.approx(106 * rate / 149, rel=1e-3)
+        assert float(group["velocity"][2].split()[0]) == pytest.approx(-sqrt(5.0))
+        assert group["insert"]["kind"] == "inlet"
+        assert float(group["insert"]["rate"].split()[0]) == pytest.approx(rate, rel=1e-3)
+        corner = [float(each.split()[0]) for each in group["insert"]["face"]["rectangle"]["corner"]]
+        assert corner == pytest.approx([38, 38, 102])  # centers in the region: a radius wider and above
+        assert ("with the time step at the line of the fix" in remarks(found, "fix p")[0][1]) is bool(change)
 
 
 # Reports and errors
@@ -358,6 +387,42 @@ def test_heat(tmp_path):
     material = scene["materials"]["type2"]
     assert material["heat_capacity"] == "20 J/kg/K"
     assert float(material["thermal_conductivity"].split()[0]) == pytest.approx(50 * sqrt(2 * pi))
+
+
+BRIDGES = """fix l1 all property/global surfaceLiquidContentInitial scalar 0.002
+fix l2 all property/global surfaceTension scalar 0.072
+fix l3 all property/global fluidViscosity scalar 1e-3
+fix l4 all property/global contactAngle peratomtype 0.5 0.4
+fix l5 all property/global minSeparationDistanceRatio scalar 1.01
+fix l6 all property/global maxSeparationDistanceRatio scalar 1.1"""
+
+
+def test_liquid_bridges(tmp_path):
+    """Soulie's force at contact, with V = 4/3 pi c (1 - sqrt(3/4)) R^3 and the contact angle 0, over pi g R:
+    exp(0.48 - 0.0082 ln V) + 0.078 + 0.0018 ln V = 1.774; Willett's is 2."""
+    model = f"{HERTZ} cohesion easo/capillary/viscous"
+    found, scene = imported(tmp_path, liggghts(properties=BRIDGES, model=model))
+    assert found.report.is_complete
+    viscous = {"viscosity": "0.001 Pa s", "min_separation_ratio": 1}
+    assert scene["contact"]["cohesion"] == {"law": "capillary_transfer", "viscous_force": viscous}
+    assert all(group["liquid_content"] == 0.002 for group in scene["particles"].values())
+    assert scene["pairs"]["type1-type2"]["contact_angle"] == pytest.approx(0.45)
+    (remark,) = {sentence for _, sentence in remarks(found, "pair_style")}
+    assert (
+        "1.13 times as large" in remark and "instead of 1.01 R*" in remark and "in the script R/2" in remark
+    )
+
+
+def test_box_of_which_one_side_grows(tmp_path):
+    """boundary p p fm: the upper end is enlarged by the size of the box, and the lower one deletes."""
+    head = LAMMPS.format(model="pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1")
+    head = head.replace("boundary p p f", "boundary p p fm").replace(
+        "run 100", "thermo_modify lost ignore\nrun 100"
+    )
+    found, scene = imported(tmp_path, head)
+    assert scene["domain"]["on_exit"] == "delete" and scene["domain"]["min"] == [0, 0, 0]
+    assert scene["domain"]["max"] == ["100 mm", "100 mm", "400 mm"]
+    assert "zhi is enlarged" in remarks(found, "boundary")[0][1]
 
 
 HEAT = (
@@ -474,6 +539,57 @@ fix s all deform 1 xy erate 2 remap v"""
     assert len({tuple(row) for row in rows}) == 40 and "start_type1" in scene["particles"]
     assert all((x - 0.05) ** 2 + (y - 0.05) ** 2 < 0.03**2 and 0.05 < z < 0.15 for x, y, z, _ in rows)
     assert remarks(found, "viscous")[0][0] == "not possible" and "damping" not in scene
+
+
+RANDOM = """create_atoms 1 random {} 20 c
+set group all diameter 0.004 density 2500
+set group all density 2500
+velocity all create 4e14 12 dist {}
+minimize 1e-4 1e-4 10 10
+fix l all nve/limit 1e-4"""
+
+
+@pytest.mark.parametrize(("count", "is_packed"), [(2, False), (400, True)])
+def test_random_particles_that_overlap_become_a_packing(tmp_path, count, is_packed):
+    """400 spheres of 4 mm in 283 cm3 overlap, two do not. The sum of m v^2 is 3 N - 3 times k T."""
+    head = LAMMPS.format(model="pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1")
+    region = "region c cylinder z 0.05 0.05 0.03 0.05 0.15\n"
+    text = head.replace(
+        "fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500",
+        region + RANDOM.format(count, "gaussian"),
+    )
+    found, scene = imported(tmp_path, text)
+    (group,) = scene["particles"].values()
+    assert (group["insert"]["kind"] == "pack") is is_packed
+    mass, wanted = 2500 * pi / 6 * 0.004**3, (3 * count - 3) * 1.380649e-23 * 4e14
+    if is_packed:
+        assert group["count"] == 400 and group["diameter"] == "4 mm"
+        cylinder = group["insert"]["region"]["cylinder"]
+        assert cylinder["radius"] == "32 mm"  # centers in the region
+        speed = to_si(group["thermal"]["velocity_rms"], "velocity")
+        assert "velocity" not in group
+    else:
+        rows = np.array([row.split(",") for row in found.files["type1.csv"].decode().splitlines()[1:]], float)
+        assert np.abs(rows[:, 4:7].sum(axis=0)).max() < 1e-9 * np.abs(rows[:, 4:7]).max()
+        speed = np.sqrt((rows[:, 4:7] ** 2).sum() / count)
+    assert count * mass * speed**2 == pytest.approx(wanted, rel=1e-5)
+    assert remarks(found, "minimize")[0][1] == "the random particles are placed without overlap"
+    assert found.report.is_complete
+
+
+def test_runs_that_separate_random_particles_are_left_out(tmp_path):
+    """What follows them is the start: their drag has ended, and velocities can be set."""
+    head = LAMMPS.format(model="pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1")
+    atoms = (
+        "create_atoms 1 random 400 20 box\nset type 1 diameter 0.005 density 2500\nfix l all nve/limit 1e-4\n"
+        "fix v all viscous 0.1\nrun 500\nunfix l\nunfix v\nvelocity all set 0.1 0 0"
+    )
+    text = head.replace("fix p all pour 100 1 7 region box diam one 0.004 dens 2500 2500", atoms)
+    found, scene = imported(tmp_path, text)
+    assert found.report.is_complete and "damping" not in scene and scene["run"]["duration"] == "1 ms"
+    (group,) = scene["particles"].values()
+    assert group["velocity"] == ["100 mm/s", 0, 0] and group["insert"]["kind"] == "pack"
+    assert "separates random particles" in remarks(found, "run 500")[0][1]
 
 
 def test_gravity_that_changes_is_that_of_a_stage(tmp_path):

@@ -67,6 +67,8 @@ def test_formula_without_value(formula):
         ("variable a equal 1\nvariable b equal v_a+1\nvariable a equal 5\nx ${b}", [["x", "6"]]),
         ("x 1\nquit\nx 2", [["x", "1"]]),
         ("print 'the rate is ${n}'\nx 1", [["x", "1"]]),
+        ("variable a equal c_1\nvariable b equal 2*${a}\nprint 'it is ${b} and $(v_a+1)'\nx 1", [["x", "1"]]),
+        ("variable a world 1 2\nx $a", [["x", "1"]]),
     ],
 )
 def test_commands(tmp_path, text, expected):
@@ -84,6 +86,12 @@ def test_include(tmp_path):
     assert commands(tmp_path, "include inner\ny $k") == [["x", "4"], ["y", "4"]]
 
 
+def test_variable_with_the_lines_of_a_file(tmp_path):
+    (tmp_path / "values").write_text("# sizes\n0.1\n\n0.2 # the last\n")
+    loop = "variable d file values\nlabel l\nx $d\nnext d\njump SELF l"
+    assert commands(tmp_path, loop) == [["x", "0.1"], ["x", "0.2"]]
+
+
 @pytest.mark.parametrize(
     ("text", "line", "part"),
     [
@@ -94,7 +102,9 @@ def test_include(tmp_path):
         ("include nothing", 1, "cannot be read"),
         ("include in.deck", 1, "include each other"),
         ("variable a getenv HOME", 1, "--set a=VALUE"),
-        ("variable a world 1 2", 1, "style world"),
+        ("variable a wonder 1 2", 1, "style wonder"),
+        ("variable a equal c_1\nvariable b equal 2*${a}\nrun ${b}", 3, "c_1 is a result of the simulation"),
+        ("print '${none}'", 1, "there is no variable none"),
         ('if "c_1 > 2" then "x 1"', 1, "cannot be decided"),
         ('if "1 > 2"', 1, "the form is"),
         ("variable a loop x", 1, "the end of the loop is x"),

@@ -138,8 +138,7 @@ class Jkr(BondLaw):
             return 0.0, 0.0
         pull = math.sqrt(2.0 * math.pi * w / modulus)
         snap = (0.25 * pull * radius) ** (2.0 / 3.0)  # contact radius at which the distance is largest
-        roots = np.roots([1.0 / radius, 0.0, 0.0, -pull, -contact.overlap])
-        a = max((root.real for root in roots if abs(root.imag) < 1e-6 * abs(root)), default=0.0) ** 2
+        a = _largest_root(pull * radius, contact.overlap * radius) ** 2
         force = 4.0 * modulus * a**3 / (3.0 * radius) - math.sqrt(8.0 * math.pi * w * modulus * a**3)
         hertz = 4.0 / 3.0 * modulus * math.sqrt(radius) * max(contact.overlap, 0.0) ** 1.5
         return hertz - force, pull * math.sqrt(snap) - snap**2 / radius
@@ -152,6 +151,23 @@ class Jkr(BondLaw):
         """Velocity [m/s] of a Hertz impact up to the contact radius of the pair at rest."""
         contact_radius = AT_REST * _scale(pair, radius_eff)
         return theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
+
+
+def _largest_root(pull: float, load: float) -> float:
+    """Largest real root y of y^4 - pull y - load, for pull > 0; 0 without a real root.
+
+    The function is convex for y > 0, so that Newton's iteration decreases from an upper bound to the root.
+    """
+    lowest = (0.25 * pull) ** (1.0 / 3.0)
+    least = lowest**4 - pull * lowest - load
+    if least >= 0.0:  # of a double root, rounding decides on the sign
+        return lowest if least <= 1e-12 * pull * lowest else 0.0
+    y = max((2.0 * pull) ** (1.0 / 3.0), (2.0 * max(load, 0.0)) ** 0.25)
+    while True:
+        smaller = y - (y**4 - pull * y - load) / (4.0 * y**3 - pull)
+        if not lowest < smaller < y:
+            return y
+        y = smaller
 
 
 def _scale(pair: PairMaterial, radius_eff: float) -> float:
