@@ -431,6 +431,16 @@ HEAT = (
 )
 
 
+def test_heat_without_particles_and_walls(tmp_path):
+    """A script of which the importer knows no insertion, and which has no wall, is reported."""
+    text = liggghts(
+        properties=f"{HEAT}fix h3 all heat/gran initial_temperature 300", insertion="fix i all wonder"
+    )
+    text = "\n".join(line for line in text.splitlines() if "wall/gran" not in line)
+    found, _ = imported(tmp_path, text)
+    assert remarks(found, "wonder")[0][0] == "not possible"
+
+
 def test_temperatures_and_sources_between_runs_are_settings_of_stages(tmp_path):
     """A half space, a box to the end of the domain, a type, a union; a fix heat/gran that begins later."""
     end = """run 100
