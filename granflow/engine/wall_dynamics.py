@@ -227,12 +227,16 @@ def shift_bodies(state: State, change: np.ndarray) -> None:
 
     The velocity at the present time remains, because the kick after the jump is that of the new gravity.
 
-    Writes:  velocity
+    Writes:  velocity, work
     """
     for r, controlled in enumerate(state.plan.controlled_motions):
         if controlled.spec.is_body and state.wall_dynamics.was_active[r]:
-            kick = 0.5 * state.clock.time_step * float(change @ np.array(controlled.direction))
-            state.wall_dynamics.velocity[r] = float(state.wall_dynamics.velocity[r]) - kick
+            before = float(state.wall_dynamics.velocity[r])
+            after = before - 0.5 * state.clock.time_step * float(change @ np.array(controlled.direction))
+            state.wall_dynamics.velocity[r] = after
+            # The work is counted between half steps, and the last half step had the gravity before the jump.
+            gained = 0.5 * controlled.numbers["mass"] * (after**2 - before**2)
+            state.wall_dynamics.work[r] = float(state.wall_dynamics.work[r]) + gained
 
 
 def mark_rebuild(state: State) -> None:

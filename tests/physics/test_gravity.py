@@ -72,7 +72,8 @@ def test_free_flight_under_changing_gravity():
     for snapshot in snapshots[1:]:
         totals = snapshot.totals
         dropped = at[0.0].totals["gravitational_energy"] - totals["gravitational_energy"]
-        assert totals["kinetic_energy"] == pytest.approx(dropped + totals["gravity_work"], rel=1e-10)
+        # The work of each step is rounded to the unit of the sums.
+        assert totals["kinetic_energy"] == pytest.approx(dropped + totals["gravity_work"], rel=1e-6)
         assert abs(totals["energy_error"]) < 1e-6  # of the rotation of the clump
         assert totals["free_wall_energy"] == pytest.approx(totals["free_wall_work"], rel=1e-6, abs=1e-12)
 
