@@ -221,7 +221,7 @@ def free_scene(**parts):
     )  # fmt: skip
 
 
-def test_programs_remove_clumps_and_change_spheres_beside_them(taichi_f64):
+def test_programs_remove_clumps_and_change_single_spheres(taichi_f64):
     """The clumps that remain continue their motion, and the energy budget has the change."""
     whole, _ = run_to_end(free_scene(), threads=1)
     with Simulation(free_scene(), threads=1) as simulation:
