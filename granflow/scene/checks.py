@@ -601,6 +601,27 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
                 yield Fault(location, f"the scene has no stages; {remedy}")
 
 
+def gravity_stages(parts: PartialScene) -> Iterator[Fault]:
+    """Stages of a motion of gravity are those in which this gravity acts: until a stage has its own."""
+    scene = parts.scene
+    begins = [0, *(index for index, each in enumerate(scene.stages) if each.gravity is not None)]
+    ends = [*begins[1:], len(scene.stages)]
+    paths: list[tuple[str | int, ...]] = [
+        ("gravity",),
+        *(("stages", index, "gravity") for index in begins[1:]),
+    ]
+    acting = {
+        path: scene.stage_names[begin:end] for path, begin, end in zip(paths, begins, ends, strict=True)
+    }
+    for path, motion in scene.gravity_motions():
+        names = acting[path[:-2]]
+        for index, name in enumerate(motion.stages or ()):
+            if name in scene.stage_names and name not in names and scene.stages:
+                which = f"only in {', '.join(names)}" if names else "in no stage"
+                reason = f"this gravity acts {which}; give the motion to the gravity that acts in {name}"
+                yield Fault((*path, "stages", index), reason)
+
+
 def wall_groups(parts: PartialScene) -> Iterator[Fault]:
     """Groups that touch a wall must exist and move: fixed particles touch no wall."""
     known = parts.names("particles")
@@ -935,6 +956,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact",), pair_properties),
     (("contact",), restitution),
     (("stages",), stage_names),
+    (("gravity", "stages"), gravity_stages),
     (("particles",), wall_groups),
     (("stages", "run"), duration),
     (("gravity", "stages"), gamma_requires_gravity),
