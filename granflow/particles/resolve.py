@@ -27,7 +27,7 @@ from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.blocks.sizes import SizeDistribution
 from granflow.schema.messages import nearest
 from granflow.schema.model import Model
-from granflow.schema.quantities import LARGEST_COUNT, Number
+from granflow.schema.quantities import LARGEST, LARGEST_COUNT, SMALLEST, Number
 
 ROUNDING_SHARE = 1e-9
 """Tolerance for rounding at the end of an insertion, as a fraction of one particle."""
@@ -337,11 +337,13 @@ def _with_spheres(path: Path, clump: Clump) -> Clump:
     table = read_spheres(path)
     if len(table) > MOST_SPHERES:
         raise FormatError(f"it has {len(table)} spheres, but the limit is {MOST_SPHERES}")
+    centers, radii = clump.scale * table.position, clump.scale * table.radius
+    far = (radii < SMALLEST) | (np.maximum(radii, np.abs(centers).max(axis=1)) > LARGEST)
+    if far.any():
+        raise SceneError(f"{path}:{table.line[far.argmax()]}: a length of this magnitude is out of range.")
     spheres = [
         ClumpSphere(position=center, radius=radius)
-        for center, radius in zip(
-            (clump.scale * table.position).tolist(), (clump.scale * table.radius).tolist(), strict=True
-        )
+        for center, radius in zip(centers.tolist(), radii.tolist(), strict=True)
     ]
     return clump.model_copy(update={"spheres": tuple(spheres)})
 

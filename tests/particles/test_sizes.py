@@ -123,6 +123,8 @@ FAULTY_SIEVES = {
     "smallest diameter of the particles.|:3: mass is x, but it must be a number of at least 0.",
     "size,passing\n1,0\n2,100\n": ":3: passing is 100, but it must be at most 1; if the column is in percent, "
     "write passing [%] in the header.",
+    "size [mm],passing [%]\n1,0\n2,101\n": ":3: passing [%] is 101, but it must be at most 100.",
+    "size [mm],passing [%]\n1,0\ninf,100\n": ":3: size [mm] is inf, but a diameter of this magnitude is out of range.",
     "size [mm],passing [%]\n2,50\n3,40\n1,10\n": ":4: passing [%] is 10, but the smallest sieve must pass 0; "
     "add a sieve with the smallest diameter of the particles.|:3: passing [%] is 40, but the next "
     "smaller sieve passes 50 %; shares must not decrease.|:3: passing [%] is 40, but the largest sieve must pass 1 "

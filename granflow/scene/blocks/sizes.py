@@ -24,6 +24,7 @@ from granflow.io.tables import SEPARATORS, UNIT, Table, table_in, unit_factor
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, whole_error
 from granflow.schema.model import FileName, ListOf, Model, choose_by_key
+from granflow.schema.quantities import LARGEST, SMALLEST
 
 MAX_COUNTED = 10_000_000
 """Largest count that is derived from a mass by summation; larger counts follow from the mean of a sample."""
@@ -414,21 +415,30 @@ def _sieves_in(path: Path) -> tuple[Sieve, ...]:
 
     opening = table.numbers(columns["opening"])
     share = table.numbers(columns[given])
+    factor = unit_factor(path, table, columns["opening"], "length")
     pan = "it must be a number above 0; for the pan, give the smallest diameter of the particles"
     problems = [problem(row, "opening", pan) for row in np.flatnonzero(~(opening > 0.0))]
+    far = (opening > 0.0) & ~((opening * factor >= SMALLEST) & (opening * factor <= LARGEST))
     problems += [
-        problem(row, given, "it must be a number of at least 0") for row in np.flatnonzero(~(share >= 0.0))
+        problem(row, "opening", "a diameter of this magnitude is out of range") for row in np.flatnonzero(far)
+    ]
+    problems += [
+        problem(row, given, "it must be a number of at least 0")
+        for row in np.flatnonzero(~((share >= 0.0) & (share <= LARGEST)))
     ]
     if problems:
         raise FileError(problems)
 
     order = np.argsort(opening, kind="stable")
-    opening = opening[order] * unit_factor(path, table, columns["opening"], "length")
+    opening = opening[order] * factor
     share = share[order]
     if given == "passing":
-        share = share * unit_factor(path, table, columns["passing"], "number")
+        unit = unit_factor(path, table, columns["passing"], "number")
+        share = share * unit
         if share.max() > 1.0:
-            reason = "it must be at most 1; if the column is in percent, write passing [%] in the header"
+            reason = f"it must be at most {1.0 / unit:g}"
+            if unit == 1.0:
+                reason += "; if the column is in percent, write passing [%] in the header"
             raise FileError(problem(order[share.argmax()], "passing", reason))
     elif share[-1] > 0.0:
         reason = "the largest sieve must retain 0; add a sieve with the largest diameter of the particles"

@@ -214,7 +214,7 @@ class Clump(Model, ParticleShape):
 
         def sphere(index: int) -> str:
             if self.file is not None:
-                return f"sphere {index} of the file {key('clump', 'file')}"
+                return f"spheres.{index}, row {index + 1} of {key('clump', 'file')},"
             return key("clump", "spheres", index, "position")
 
         yield from _repeated_spheres(centers, radii, distance, sphere)
