@@ -117,6 +117,8 @@ def gravity(deck: Deck, fix: Fix) -> None:
     if length == 0.0:
         raise DeckError(fix.entry.command, "the direction of gravity is zero; give one, such as 0 0 -1.")
     fix.data = tuple(magnitude * round(each / length, 12) + 0.0 for each in direction)
+    if words:
+        fix.entry.impossible(f"the keyword {words.next} of gravity", "no keyword")
 
 
 def viscous(deck: Deck, fix: Fix) -> None:
@@ -240,9 +242,14 @@ def build(deck: Deck, draft: Draft) -> None:
 
 
 def gravity_in(deck: Deck, run: Run) -> tuple[float, ...]:
-    """Gravity [m/s2] in a run: that of the newest fix that acts; zero without one."""
-    acting = [fix.data for fix in deck.fixes_of("gravity") if fix.data and fix.acts_in(run)]
-    return acting[-1] if acting else (0.0, 0.0, 0.0)
+    """Gravity [m/s2] in a run; zero without a fix that acts.
+
+    Both codes add the forces of all fixes. Those of other groups than that of the newest fix are left out:
+    fixes on parts of the particles are refused, and each of these has its own gravity.
+    """
+    acting = [fix for fix in deck.fixes_of("gravity") if fix.data and fix.acts_in(run)]
+    parts = [fix.data for fix in acting if fix.group == acting[-1].group]
+    return tuple(sum(components) for components in zip(*parts, strict=True)) if parts else (0.0, 0.0, 0.0)
 
 
 def _gravity(deck: Deck, draft: Draft) -> None:

@@ -615,6 +615,17 @@ def test_gravity_that_changes_is_that_of_a_stage(tmp_path):
     ]
 
 
+def test_gravity_of_two_fixes_is_their_sum(tmp_path):
+    """Both codes add the forces; a keyword behind the direction is refused."""
+    text = (
+        "fix h all gravity 5 vector 1 0 0\nrun 10\nunfix g\nfix k all gravity 1 vector 0 1 0 disable\nrun 10"
+    )
+    found, scene = imported(tmp_path, liggghts(end=text))
+    assert scene["gravity"] == [5, 0, -9.81]
+    assert scene["stages"][1]["gravity"] == [5, 1, 0]
+    assert remarks(found, "disable")[0][0] == "not possible"
+
+
 def test_read_restart_is_refused_with_advice(tmp_path):
     found, _ = imported(
         tmp_path, "units si\nread_restart f\npair_style gran model hertz\ntimestep 1\nrun 1\n"
