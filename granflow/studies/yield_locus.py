@@ -221,6 +221,8 @@ def shear_point(evaluation: YieldLocusEvaluation, run: ShearTest) -> ShearPoint:
         )
     elif point.normal >= point.preshear[0]:
         point.drop("the normal stress at failure is not below that of the preshear")
+    elif point.normal <= 0.0:
+        point.drop("the normal stress at failure is not positive: the servo does not press the wall")
     elif point.shear <= 0.0 or point.preshear[1] <= 0.0:
         point.drop("the shear stress is not positive")
     return point

@@ -178,6 +178,7 @@ def test_prorated_points_give_the_locus_of_the_mean_preshear(tmp_path):
         ("rising", {"failure": lambda x: (2000.0 + 0 * x, 1800.0 * x)}, "there is no peak; make it longer"),
         ("short", {"failure": peaked(2000.0, 1800.0), "rows": 30}, "the stage preshear has 30 rows"),
         ("high", {"failure": peaked(5100.0, 3000.0)}, "is not below that of the preshear"),
+        ("lifted", {"failure": peaked(-100.0, 300.0)}, "the normal stress at failure is not positive"),
         ("drifting", {"failure": peaked(2000.0, 1800.0), "preshear": lambda x: (5000.0 + 0 * x, 3000.0 * x)},
          "the preshear is not steady: its shear stress changes by +33 %"),
     ],
