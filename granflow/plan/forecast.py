@@ -59,6 +59,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         servo_findings(plan, times),
         flow_findings(plan),
         fixed_findings(plan),
+        gap_findings(plan),
     )
     sentences = [f"{_key_and_place(scene, *path)}{rest}" for path, rest in findings]
     for name, group in scene.particles.items():
@@ -79,6 +80,18 @@ def fixed_findings(plan: Plan) -> Iterator[Finding]:
             ("particles", next(iter(groups)), "fixed"),
             ": all particles are fixed, and fixed particles have no contacts with each other and with walls, "
             f"so that {alternatives(plan.laws.flows)} is 0. Leave out fixed: particles at rest can move.",
+        )
+
+
+def gap_findings(plan: Plan) -> Iterator[Finding]:
+    """A smallest gap of the gas beyond its films, such as one without its unit: no path is as long."""
+    gas = getattr(plan.laws.by_slot.get("heat"), "gas", None)
+    if gas is not None and gas.is_present and gas.min_gap > gas.reach:
+        yield (
+            ("contact", "heat", "gas", "min_gap"),
+            f" is {gas.min_gap:.3g} m, more than the thickness {gas.reach:.3g} m of the film of the largest "
+            "particle, so that the gas hardly conducts heat. Give about the roughness of the surfaces, such "
+            "as 1 um.",
         )
 
 

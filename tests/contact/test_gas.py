@@ -11,6 +11,7 @@ from granflow.contact.heat.conduction import Conduction
 from granflow.contact.heat.gas import Gas
 from granflow.contact.material import PairMaterial, modulus_eff
 from granflow.plan.build import plan_for
+from granflow.plan.forecast import gap_findings
 
 GAS, GAP, FILM = 0.3, 2e-5, 0.6
 SOLID, OTHER = 1.0, 3.0
@@ -188,3 +189,11 @@ def test_a_bed_of_fixed_particles_is_a_warning():
     warnings = [each.warning for each in plan_for(Scene.from_dict(scene)).forecasts if each.warning]
     assert any("all particles are fixed" in each and "heat_flow is 0" in each for each in warnings)
     assert not any("fixed" in (each.warning or "") for each in plan_for(gas_scene()).forecasts)
+
+
+def test_a_smallest_gap_beyond_the_film_is_a_warning():
+    """The film of the largest sphere has 0.6 of 5 mm."""
+    for gap, is_beyond in ((3.1e-3, True), (2.9e-3, False)):
+        laws = SimpleNamespace(by_slot={"heat": Conduction(gas=Gas(GAS, gap, FILM, True, 5e-3 * FILM))})
+        found = list(gap_findings(SimpleNamespace(laws=laws)))
+        assert [path[-1] for path, _ in found] == ["min_gap"] * is_beyond
