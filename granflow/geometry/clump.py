@@ -10,6 +10,8 @@ from itertools import permutations
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_volume
+
 DIAGONAL = 1e-9
 """Largest off-diagonal moment over the trace for which the axes of the given positions are principal axes."""
 
@@ -52,6 +54,11 @@ class ClumpBody:
         Sums of masses over spheres are thereby those over clumps.
         """
         return np.asarray(self.radius**3 / np.sum(self.radius**3))
+
+    @property
+    def volume_over_spheres(self) -> float:
+        """Volume of the clump over the sum of the volumes of its spheres, below 1 if they overlap."""
+        return self.volume / float(np.sum(sphere_volume(self.radius)))
 
     def sphere_arrays(self, density: np.ndarray, member: np.ndarray) -> dict[str, np.ndarray]:
         """Fields of n spheres: densities (n,) [kg/m3], indices (n,) in their clumps."""

@@ -78,6 +78,7 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
         plan.scene.usual_gravity,
         groups=tuple(group.name for group in plan.groups),
         materials=tuple(plan.scene.materials),
+        densities=tuple(each.density for each in plan.scene.materials.values()),
         walls=tuple(wall.name for wall in plan.walls),
         largest_radius=plan.radius_max,
     )

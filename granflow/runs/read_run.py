@@ -396,7 +396,10 @@ class Run:
         if "radius" in arrays and "material" in arrays and not self.scene_problem:
             density = np.array([material.density for material in self.scene.materials.values()])
             arrays["radius"] = arrays["radius"].astype(np.float64)
-            arrays["mass"] = sphere_mass(arrays["radius"], density[arrays["material"]])
+            bodies = [group.shape.body for group in self.scene.particles.values()]
+            share = np.array([1.0 if body is None else body.volume_over_spheres for body in bodies])
+            mass = sphere_mass(arrays["radius"], density[arrays["material"]])
+            arrays["mass"] = mass * share[arrays["group"]]
         return Snapshot(time, 0, self._stage_at(time), arrays, None, {}, {})
 
     def _stage_at(self, time: float) -> str:

@@ -18,6 +18,7 @@ from granflow.live.forces import ParticleForce
 from granflow.load import Scene
 from granflow.observers.coarse_graining import accumulate, of_bodies
 from granflow.particles.insertion import initial_particles
+from granflow.runs.read_run import read_run
 from granflow.simulation import Simulation
 
 FRICTION = {"friction": 0.4, "restitution": 0.4}
@@ -124,10 +125,18 @@ def test_start_from_takes_clumps_with_their_orientation_and_motion(taichi_f64, t
             sites + [0, 0.05, 0], TRIANGLE, [2e-3, 1.5e-3, 1.8e-3], "random", "steel", **motion
         ),
     }
-    scene = small_scene(groups, gravity=[0.0, 0.0, -9.81], run={"duration": 0.02, "velocity_max": 2.0})
+    everywhere = {"kind": "content", "region": {"min": [-1.0] * 3, "max": [1.0] * 3}}
+    scene = small_scene(
+        groups, gravity=[0.0, 0.0, -9.81], run={"duration": 0.02, "velocity_max": 2.0},
+        output={"interval": 1.0, "energy_budget": True, "metrics": {"all": everywhere}},
+    )  # fmt: skip
     with Simulation(scene, threads=1, out=tmp_path / "first") as simulation:
-        simulation.run()
+        result = simulation.run()
         last = simulation.snapshot()
+    volume = 2.0 * sum(group.shape.body.volume for group in scene.particles.values())
+    assert result.numbers["content_volume.all"] == pytest.approx(volume, rel=1e-12), "overlaps count once"
+    in_file = read_run(tmp_path / "first").frames[-1].particles
+    assert in_file["mass"] == pytest.approx(last.particles["mass"], rel=1e-6), "radii are float32 in files"
     after = scene.to_dict() | {"start_from": str(tmp_path / "first")}
     with Simulation(Scene.from_dict(after), threads=1) as simulation:
         first = simulation.snapshot()

@@ -91,6 +91,7 @@ class MeasuredScene:
     """What measurements need to know of the scene of a run.
 
     groups, materials, walls:  names; the index of a name is that in the arrays of a snapshot
+    densities:                 of the materials [kg/m3]
     largest_radius:            of all particles [m]
     """
 
@@ -98,6 +99,7 @@ class MeasuredScene:
     gravity: Vector3
     groups: tuple[str, ...]
     materials: tuple[str, ...]
+    densities: tuple[float, ...]
     walls: tuple[str, ...]
     largest_radius: float
 
@@ -885,11 +887,12 @@ class ContentMetric(Metric):
         """See `Metric`."""
         particles = mobile_particles(snapshot.particles)
         inside = selected(particles, _inside(particles["position"], self.region))
+        mass = inside["mass"].astype(float)
         return Reading(
             {
-                "content_count": float(len(inside["mass"])),
-                "content_mass": float(inside["mass"].astype(float).sum()),
-                "content_volume": float(sphere_volume(inside["radius"].astype(float)).sum()),
+                "content_count": float(len(mass)),
+                "content_mass": float(mass.sum()),
+                "content_volume": float((mass / np.array(scene.densities)[inside["material"]]).sum()),
             }
         )
 
