@@ -31,7 +31,7 @@ from granflow.plan.plan import Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.time_step import ImpactVelocity
 from granflow.plan.wall_control import ControlledMotion
-from granflow.plan.walls import PlannedWall, surface_speed
+from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.insertions import TimedInsertion
 from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.output import unit_of
@@ -238,12 +238,14 @@ def value_rows(
             is_unused = "cohesion" in models and scene.contact.name("normal") not in models.get("normal", ())
             yield ("pairs", name, key), is_unused, text
 
-    rotating = [n for n, w in scene.walls.items() if any(hasattr(m, "angular_velocity") for m in w.motion)]
-    for name in rotating[:1]:
-        speed = surface_speed(scene)
+    for name, wall in scene.walls.items():
+        rotations = [
+            each.numeric(scene.usual_gravity) for each in wall.motion if hasattr(each, "angular_velocity")
+        ]
+        speed = max((each.top_speed(0.5 * scene.domain.diagonal) for each in rotations), default=0.0)
         text = (
-            f": walls move at up to {speed:.3g} m/s. Angular velocities are in rad/s: write 30 rpm or 180 "
-            "deg/s with the unit."
+            f": the rotation moves walls at up to {speed:.3g} m/s. Angular velocities are in rad/s: write 30 "
+            "rpm or 180 deg/s with the unit."
         )
         yield ("walls", name, "motion"), speed > FASTEST_SURFACE, text
     for first, second in combinations(plan.walls, 2):

@@ -64,6 +64,17 @@ def test_wrong_unit_of_a_diameter_is_reported_before_the_errors_that_follow_from
     ]
 
 
+@pytest.mark.parametrize(("rates", "is_reported"), [([400], True), ([250, -250], False)])
+def test_angular_velocity_in_a_wrong_unit_is_reported(tmp_path, rates, is_reported):
+    """The farthest point is 30 mm from an axis: 12 and 7.5 m/s. The speeds of a chain do not add up."""
+    turns = [
+        f"{{kind: rotation, point: [0, 0, 0], axis: [0, 0, 1], angular_velocity: {rate}}}" for rate in rates
+    ]
+    found = warnings_of(scene_of(tmp_path, f"walls.floor.motion=[{', '.join(turns)}]"))
+    assert [each for each in found if "Angular velocities are in rad/s" in each] == found * is_reported
+    assert bool(found) == is_reported
+
+
 VIBRATION = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequency: 25 Hz}"
 
 
