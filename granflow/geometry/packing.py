@@ -262,6 +262,6 @@ def only_fit(count: int) -> str:
 def packing_remedy(solid_fraction: float) -> str:
     """Advice for a packing that is too dense; `solid_fraction`: requested."""
     return (
-        f"The requested number would fill {solid_fraction:.0%} of it, and a random packing reaches about "
-        "50%. Lower it or enlarge the region."
+        f"The requested number would fill {solid_fraction:.0%} of it. A random packing reaches about 50%, "
+        "less in a region that is a few diameters wide. Lower it or enlarge the region."
     )
