@@ -58,7 +58,7 @@ EXCLUDED = {
         "output.metrics.all.kind is stress, but particles.rods are clumps, for which it is not implemented",
     ),
     "`contact.heat`": (
-        {"temperature": 300.0}, WARM, "particles.rods.clump cannot be combined with an equation of the temperature"
+        {"temperature": 300.0}, WARM, "particles.rods.clump cannot be combined with contact.heat: conduction: a clump has no temperature"
     ),
 }  # fmt: skip
 """What clumps exclude, as in the table of the guide: changes of the group and of the scene, and the message."""
