@@ -126,8 +126,8 @@ def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
 
 OTHER_KERNELS = {
     "gpu": ["walls", "clumps", "films"],
-    "long": ["heat", "clumps"],
-    "forked": ["walls", "films"],
+    "long": ["heat"],
+    "forked": ["walls"],
     "ranks": ["heat", "clumps"],
 }
 """Scenes of the usual test run by kind of execution that compiles other kernels."""

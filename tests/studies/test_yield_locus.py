@@ -290,6 +290,7 @@ SMALL = (
 """Changes of the shipped scene: 92 particles, and short stages."""
 
 
+@pytest.mark.slow
 def test_sweep_of_a_small_shear_tester(tmp_path, capsys):
     """One command runs two tests and writes the yield locus: the normal stress is the pressure of the lid, and
     files, page and printed table agree."""
