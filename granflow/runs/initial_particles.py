@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.clumps import synchronized_clumps
 from granflow.errors import GranflowError, SceneError
 from granflow.geometry.clump import ClumpBody, product
 from granflow.geometry.sphere import sphere_inertia
@@ -206,6 +205,8 @@ def _clumps_of_group(
 ) -> ParticleData:
     """The clumps of a group from the arrays of all their spheres; orientations are those from the given
     positions of the spheres."""
+    from granflow.engine.clumps import synchronized_clumps  # `check` does not load Taichi
+
     first = arrays["id"] == arrays["clump"]
     present = synchronized_clumps(arrays, 0.5 * time_step, gravity)
     count = int(first.sum())

@@ -125,7 +125,7 @@ def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
 
 
 OTHER_KERNELS = {
-    "gpu": ["walls", "clumps", "films"],
+    "gpu": ["walls", "clumps"],
     "long": ["heat"],
     "forked": ["walls"],
     "ranks": ["heat", "clumps"],

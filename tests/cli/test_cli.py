@@ -20,6 +20,7 @@ from granflow.runs.interrupts import Terminated
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RESULT_FILES
 from granflow.scene.blocks.insertions import FileInsertion
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.walls.mesh import MeshWall
 
 
@@ -186,9 +187,8 @@ def test_input_files_in_the_output_directory_are_rejected(tmp_path, inside):
         (out / name).touch()
     (tmp_path / "link").symlink_to(out)
     bowl = MeshWall.model_construct(shape="mesh", file="link/bowl.stl")
-    beads = types.SimpleNamespace(
-        insert=FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu")
-    )
+    insertion = FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu")
+    beads = Group.model_construct(material="glass", insert=insertion)
     scene_with_input = {
         "start_from": empty_scene(start_from=str(tmp_path / "link")),
         "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),

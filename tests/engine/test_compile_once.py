@@ -97,7 +97,9 @@ def test_changed_numbers_compile_no_kernel_and_runs_in_one_process_share_arrays(
 
 
 def test_freed_simulations_refuse_their_arrays():
-    host = SimpleNamespace(plan=None, backend=None, capacities=None, clock=None, count=3, wall_motions=())
+    host = SimpleNamespace(
+        plan=None, backend=None, capacities=None, clock=None, count=3, wall_motions=(), gravity_course=None
+    )
     freed = FreedState(host)
     assert freed.count == 3
     with pytest.raises(GranflowError, match="has been freed"):

@@ -115,7 +115,7 @@ def test_forces_of_an_exponential_distribution():
 
 
 class Sideways:
-    gravity = (-2.0, 0.0, 0.0)
+    usual_gravity = (-2.0, 0.0, 0.0)
 
 
 def test_heights_are_opposite_to_gravity():
