@@ -338,9 +338,10 @@ def test_scene_metrics_are_reported_by_name():
         heat={"kind": "granular_temperature", "groups": ["red"], "cell": 0.5, "region": region},
     )  # fmt: skip
     kind = np.arange(5000) % 2
+    radius = np.where(kind, 0.01, 0.005)
     particles = particles_of(
-        5000, position=random_points(5000), group=kind, material=kind, radius=np.where(kind, 0.01, 0.005),
-        fixed=np.zeros(5000, np.uint8), coordination_number=np.full(5000, 3),
+        5000, position=random_points(5000), group=kind, material=kind, radius=radius,
+        mass=2500.0 * 4.0 / 3.0 * np.pi * radius**3, fixed=np.zeros(5000, np.uint8), coordination_number=np.full(5000, 3),
     )  # fmt: skip
     snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
     for metric, meter in metric_meters(plan_for(scene)).items():
