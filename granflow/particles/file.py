@@ -216,9 +216,9 @@ def _text(path: Path, needs_header: bool) -> tuple[ParticleTable, list[RowProble
     columns = _columns_by_quantity(table.names)
     width = len(table.names)
     if not _is_header(table.names):
-        numbers = "" if needs_header else "have the numbers x, y, z and r of a sphere, or "
+        others = "" if needs_header else "have the numbers x, y, z and r of a sphere, or "
         raise SceneError(
-            f"{path}:{table.heading_line}: the first line must {numbers}be a header with the columns x, y, z "
+            f"{path}:{table.heading_line}: the first line must {others}be a header with the columns x, y, z "
             f"and r (or radius, or diameter), but it is {(table.separator or ' ').join(table.names)[:60]}."
         )
     _refuse_incomplete(path, table)

@@ -238,9 +238,9 @@ def value_rows(
             is_unused = "cohesion" in models and scene.contact.name("normal") not in models.get("normal", ())
             yield ("pairs", name, key), is_unused, text
 
-    for name, wall in scene.walls.items():
+    for name, turning in scene.walls.items():
         rotations = [
-            each.numeric(scene.usual_gravity) for each in wall.motion if hasattr(each, "angular_velocity")
+            each.numeric(scene.usual_gravity) for each in turning.motion if hasattr(each, "angular_velocity")
         ]
         speed = max((each.top_speed(0.5 * scene.domain.diagonal) for each in rotations), default=0.0)
         text = (
