@@ -5,7 +5,8 @@ and the duration, and summaries of particle files. Resolving is idempotent. The 
 run and saved with it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from math import pi
 from pathlib import Path
 from typing import Any, get_args
@@ -268,41 +269,46 @@ def _with_files(scene: SceneInput, read: bool) -> SceneInput:
     """
     walls, groups = dict(scene.walls), dict(scene.particles)
     problems = list[str]()
+
+    def filled(
+        place: tuple[str | int, ...], file: str, part: Any, is_known: bool, fill: Callable[[Path], Any]
+    ) -> Any:
+        """A part of the scene with the content of its file; unchanged if it is known or cannot be used."""
+        if is_known and not (read and (scene.folder / file).exists()):
+            return part
+        try:
+            return fill(_existing(scene.folder, file))
+        except FileError as error:
+            problems.extend(error.problems)
+        except (FormatError, OSError) as error:
+            key = ".".join(each for each in place if isinstance(each, str))
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            problems.append(f"{scene.locate(*place)}: {key} is {file}, which cannot be used: {reason}.")
+        return part
+
     for name, wall in scene.walls.items():
         motions = list(wall.motion)
         for index, motion in enumerate(motions):
             if isinstance(motion, TableMotion) and motion.file is not None:
-                if motion.times is not None and not (read and (scene.folder / motion.file).exists()):
-                    continue
-                try:
-                    motions[index] = _with_columns(_existing(scene.folder, motion.file), motion)
-                except (FileError, FormatError, OSError) as error:
-                    location = scene.locate("walls", name, "motion", index, "file")
-                    problems += _unusable(location, f"walls.{name}.motion.file", motion.file, error)
+                motions[index] = filled(
+                    ("walls", name, "motion", index, "file"),
+                    motion.file,
+                    motion,
+                    motion.times is not None,
+                    partial(_with_columns, motion),
+                )
         walls[name] = wall.model_copy(update={"motion": tuple(motions)})
     for name, group in scene.particles.items():
-        sizes = group.diameter
+        sizes, clump = group.diameter, group.clump
         if isinstance(sizes, SizeDistribution) and sizes.source is not None:
-            if sizes.is_read and not (read and (scene.folder / sizes.source).exists()):
-                continue
-            try:
-                read_sizes = sizes.read(_existing(scene.folder, sizes.source))
-                groups[name] = group.model_copy(update={"diameter": read_sizes})
-            except (FileError, FormatError, OSError) as error:
-                location = scene.locate("particles", name, "diameter", "file")
-                problems += _unusable(location, f"particles.{name}.diameter.file", sizes.source, error)
-        clump = group.clump
+            place = ("particles", name, "diameter", "file")
+            found = filled(place, sizes.source, sizes, sizes.is_read, sizes.read)
+            groups[name] = groups[name].model_copy(update={"diameter": found})
         if clump is not None and clump.file is not None:
-            if clump.spheres is not None and not (read and (scene.folder / clump.file).exists()):
-                continue
-            try:
-                read_clump = _with_spheres(_existing(scene.folder, clump.file), clump)
-                groups[name] = group.model_copy(update={"clump": read_clump})
-            except SceneError as error:
-                problems += error.problems
-            except (FormatError, OSError) as error:
-                location = scene.locate("particles", name, "clump", "file")
-                problems += _unusable(location, f"particles.{name}.clump.file", clump.file, error)
+            place = ("particles", name, "clump", "file")
+            is_known = clump.spheres is not None
+            body = filled(place, clump.file, clump, is_known, partial(_with_spheres, clump))
+            groups[name] = groups[name].model_copy(update={"clump": body})
     if problems:
         raise SceneError(problems)
     return scene.model_copy(update={"walls": walls, "particles": groups})
@@ -316,20 +322,10 @@ def _existing(folder: Path, file: str) -> Path:
     return path
 
 
-def _unusable(
-    location: str, key: str, file: str, error: FileError | FormatError | OSError
-) -> tuple[str, ...]:
-    """Error messages for a file of the scene: those of its lines, or one for the whole file."""
-    if isinstance(error, FileError):
-        return error.problems
-    reason = error.strerror if isinstance(error, OSError) else str(error)
-    return (f"{location}: {key} is {file}, which cannot be used: {reason}.",)
-
-
 # Clumps: the rows of a file become the spheres.
 
 
-def _with_spheres(path: Path, clump: Clump) -> Clump:
+def _with_spheres(clump: Clump, path: Path) -> Clump:
     """The clump with the spheres of its file.
 
     Raises SceneError for invalid rows, and FormatError for too many spheres.
@@ -362,7 +358,7 @@ MOTION_DIMENSIONS = {"times": "time"} | TABLE_COLUMNS
 """Dimension of each key."""
 
 
-def _with_columns(path: Path, motion: TableMotion) -> TableMotion:
+def _with_columns(motion: TableMotion, path: Path) -> TableMotion:
     """The motion with the columns of its file.
 
     Raises OSError if the file cannot be read, and FileError for an invalid table.

@@ -661,7 +661,11 @@ def anisotropy(fabric: np.ndarray) -> float:
 
     a = sqrt(3/2 D:D),      D = F - 1/3
     """
-    deviator = fabric - np.eye(3) / 3.0
+    return _size(fabric - np.eye(3) / 3.0)
+
+
+def _size(deviator: np.ndarray) -> float:
+    """sqrt(3/2 D:D) of a deviator (3, 3)."""
     return float(np.sqrt(1.5 * (deviator**2).sum()))
 
 
@@ -749,8 +753,7 @@ def deviatoric_stress(stress: np.ndarray) -> float:
 
     In a triaxial test it is the difference of the axial and the lateral stress.
     """
-    deviator = stress - np.trace(stress) / 3.0 * np.eye(3)
-    return float(np.sqrt(1.5 * (deviator**2).sum()))
+    return _size(stress - np.trace(stress) / 3.0 * np.eye(3))
 
 
 class StressMetric(Metric):
