@@ -292,21 +292,26 @@ class Stepper:
         self._take_steps(*launch)
 
     def _sampled_step(self) -> int:
-        """Take one step and time its phases separately."""
-        time_step = self.state.clock.time_step
-        began = clock.perf_counter()
+        """Take one step and time its phases separately, without the time of a launch.
+
+        In a small scene a launch takes longer than the integration.
+        """
         self._since_sample = 0
-        self._launch_step(1, self.poses.next, time_step, forcing=0)
-        ti.sync()
-        integrated = clock.perf_counter()
+        launch = self._seconds_of_launch(0, moving=0, forcing=0)
+        moving = self._seconds_of_launch(1, moving=1, forcing=0)
         if self._is_rebuild_due or self.abort_code:
             return 0
-        forces_began = clock.perf_counter()
-        self._launch_step(1, self.poses.next, time_step, moving=0)
-        ti.sync()
-        self.timing.sampled_integration += integrated - began
-        self.timing.sampled_forces += clock.perf_counter() - forces_began
+        forcing = self._seconds_of_launch(1, moving=0, forcing=1)
+        self.timing.sampled_integration += max(moving - launch, 0.0)
+        self.timing.sampled_forces += max(forcing - launch, 0.0)
         return self._steps_done
+
+    def _seconds_of_launch(self, steps: int, moving: int, forcing: int) -> float:
+        """Launch, and wait for its end; returns its wall-clock time [s]."""
+        began = clock.perf_counter()
+        self._launch_step(steps, self.poses.next, self.state.clock.time_step, moving, forcing)
+        ti.sync()
+        return clock.perf_counter() - began
 
 
 # The stepper of a GPU: two dispatches per step, and one transfer to the host for several steps.

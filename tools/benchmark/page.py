@@ -102,8 +102,8 @@ Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ran
 - **Roots of a contact**: without the root of the mean over the first step, and without that of the ratio of stiffnesses,
   which is wrong, a step takes 1 to 5 % less. Neither can be left out: the first step takes its mean at another overlap,
   and the ratio would need a further number in each history.
-- **Launches**: the times of phases contain a launch each, 35 to 70 us, which for 1000 particles is more than the
-  integration. Steps of a run are taken many per launch: with two particles a step takes 0.3 to 0.5 us.
+- **Launches**: a launch takes 35 to 70 us, for 1000 particles more than the integration. The times of phases above
+  contain one; those of a run do not. Steps of a run are taken many per launch: with two particles a step takes 0.3 to 0.5 us.
 
 ## Repeat the measurement
 
