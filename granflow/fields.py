@@ -128,6 +128,10 @@ def _clumps(features: Any) -> bool:
     return bool(features.clumps)
 
 
+def _clumps_with_flows(features: Any) -> bool:
+    return bool(features.clumps and features.flows)
+
+
 def _liquid(features: Any) -> bool:
     return bool(features.liquid_transfer)
 
@@ -269,6 +273,17 @@ _CLUMP_FIELDS = (
         sorted=False,
         saved=False,
         displayed=False,
+    ),
+    FieldSpec(
+        "exposed_share",
+        "",
+        "1",
+        "share of the surface of the sphere that lies in no other sphere of its clump; 1 for a single sphere",
+        in_snapshot=False,
+        dtype="f64",
+        condition=_clumps_with_flows,
+        displayed=False,
+        default=1.0,
     ),
 )
 _LIQUID_FIELDS = (

@@ -56,8 +56,10 @@ class ParticleEquation(DeviceObject):
         """Rate of change of the property.
 
         constants:  values of `material_properties`
-        particle:   radius [m], mass [kg], value of the property
-        flows:      sum of each flow in `flows` over the contacts of the particle, by name
+        particle:   radius [m], mass [kg], value of the property; of a clump its mass, and the radius of its
+                    largest sphere
+        flows:      sum of each flow in `flows` over the contacts of the particle, by name; of a clump over
+                    those of all its spheres
         """
 
     def longest_time_step(
@@ -66,7 +68,7 @@ class ParticleEquation(DeviceObject):
         """Time step [s] below which the explicit step is stable.
 
         constants:     values of `material_properties`
-        radius, mass:  [m], [kg], of the smallest particle of a group
+        radius, mass:  [m], [kg], of the smallest particle of a group, as of `rate`
         slope:         largest derivative of the sum of its flows by the property, for all its contacts
         """
         raise NotImplementedError

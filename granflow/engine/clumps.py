@@ -326,6 +326,13 @@ def body_positions(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.where(arrays["clump"][:, None] >= 0, arrays["clump_position"], arrays["position"])
 
 
+def mass_shares(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Share (n,) of each sphere in the mass of its clump; 1 for single spheres."""
+    if "clump" not in arrays:
+        return np.ones(len(arrays["mass"]))
+    return np.asarray(arrays["mass"] / arrays["clump_mass"].astype(float))
+
+
 def of_clumps(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
     """The arrays with position and velocity of the clump for its spheres, and ROTATION_SHARE; unchanged
     without clumps.
@@ -336,7 +343,7 @@ def of_clumps(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
         return arrays
     in_clump = arrays["clump"][:, None] >= 0
     momentum = arrays["clump_angular_momentum"].astype(float)
-    share = arrays["mass"] / arrays["clump_mass"].astype(float)
+    share = mass_shares(arrays)
     moving = {
         name: np.where(in_clump, arrays[f"clump_{name}"], arrays[name]) for name in ("position", "velocity")
     }

@@ -26,6 +26,9 @@ class Flows:
     model that acts at a distance. The integration takes one explicit step of the equations with them. What
     flows from walls is summed over the run: the force phase adds what will flow in the next step, which is
     ahead of the particles until then.
+
+    A clump has one value of each property, of which each of its spheres has a copy. Each copy takes the same
+    step with the flows to all spheres of the clump, in the order of their ids, as `ClumpMotion` does.
     """
 
     def __init__(self, state: State) -> None:
@@ -35,6 +38,7 @@ class Flows:
         self.chunk_size = state.parameter("chunk_size")
         self.to_grid = build_to_grid(ti.f64)
         self.one_material = state.plan.features.one_material
+        self.clumps = state.plan.features.clumps
         self.several_materials = len(state.plan.materials) > 1
         laws = state.plan.laws
         self.at_distance = laws.flows_at_distance
@@ -106,16 +110,22 @@ class Flows:
         return [(name, field, self.state.parameter(f"shift.{name}")) for name, field in self._fields(names)]
 
     @ti.func
-    def begin(self, chunk, i, time_step):
+    def begin(self, chunk, i, time_step, dt):
         """Begin the sums of particle i with its sources, and with what its surroundings give.
 
-        time_step:  as of a normal model [s]
+        The losses of the step before are taken, unless this evaluation follows no integration.
 
-        Reads:   radius, material, properties that the laws read
-        Writes:  the sums, wall_flows, wall_flows_ahead
+        time_step:  as of a normal model [s]
+        dt:         time step [s]; 0 in an evaluation without motion
+
+        Reads:   radius, material, exposed_share, properties that the laws read
+        Writes:  the sums, loss_heat, wall_flows, wall_flows_ahead
         """
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
+        if ti.static(self.has_loss_heat):
+            if dt > 0.0:
+                self.loss_heat[i] = ti.cast(0, ti.i64)
         for k, source, field, shift in ti.static(self.sources):
             flow = self.to_grid(source[i], shift())
             field[i] = field[i] + flow
@@ -137,8 +147,11 @@ class Flows:
         )
         particle = ti.Struct({name: field[i] for name, field in ti.static(self.surroundings_read)})
         flows = self.surroundings_law.surroundings_flow(constants, particle)
+        exposed = ti.cast(1.0, ti.f64)
+        if ti.static(self.clumps):
+            exposed = self.particles.exposed_share[i]
         for name, field, shift in ti.static(self.surroundings_sums):
-            flow = self.to_grid(ti.cast(member(flows, name), ti.f64), shift())
+            flow = self.to_grid(exposed * ti.cast(member(flows, name), ti.f64), shift())
             field[i] = field[i] + flow
             given = ti.cast(time_step, ti.f64) * flow
             self._add_to_wall(chunk, self.surroundings, self.wall_term[name], given, True)
@@ -249,11 +262,42 @@ class Flows:
         return found
 
     @ti.func
+    def _flow_of_body(self, i, dt, name: ti.template(), field: ti.template()):
+        """Sum of a flow to particle i, or to all spheres of its clump."""
+        found = ti.cast(0.0, ti.f64)
+        if ti.static(self.clumps):
+            for member_index in range(self.particles.clump_size[i]):
+                found += self._flow(self._sphere(i, member_index), dt, name, field)
+        else:
+            found = self._flow(i, dt, name, field)
+        return found
+
+    @ti.func
+    def _sphere(self, i, member_index):
+        """Index of a sphere of the clump of i; i itself if it is in no clump."""
+        j = i
+        if self.particles.clump[i] >= 0:
+            j = self.particles.index_by_id[self.particles.clump_begin[i] + member_index]
+        return j
+
+    @ti.func
+    def _body(self, i):
+        """Radius [m] and mass [kg] of particle i, or of its clump, as `ParticleEquation.rate` has them."""
+        radius = self.particles.radius[i]
+        mass = self.particles.mass[i]
+        if ti.static(self.clumps):
+            mass = self.particles.clump_mass[i]
+            for member_index in range(self.particles.clump_size[i]):
+                radius = ti.max(radius, self.particles.radius[self._sphere(i, member_index)])
+        return radius, mass
+
+    @ti.func
     def integrate(self, i, dt):
         """One step of all particle equations; abort if a sum is not exact.
 
-        Reads:   the sums, radius, mass, material, id
-        Writes:  the properties, loss_heat, abort, abort_particle
+        Reads:   the sums, loss_heat, radius, mass, material, id; clump, clump_size, clump_begin, clump_mass,
+                 index_by_id
+        Writes:  the properties, abort, abort_particle
         """
         for field, per_unit in ti.static(self.sums):
             if not ti.abs(field[i]) * per_unit() <= 2.0**SUM_BITS:  # also if it is not a number
@@ -262,17 +306,16 @@ class Flows:
         material = 0
         if ti.static(not self.one_material):
             material = self.particles.material[i]
+        radius, mass = self._body(i)
         for equation, values, sums, keys in ti.static(self.equations):
             constants = ti.Struct(
                 {key: self._of_material(parameter, material) for key, parameter in ti.static(keys)}
             )
-            particle = ti.Struct(
-                radius=self.particles.radius[i], mass=self.particles.mass[i], value=values[i]
+            particle = ti.Struct(radius=radius, mass=mass, value=values[i])
+            found = ti.Struct(
+                {name: self._flow_of_body(i, dt, name, field) for name, field in ti.static(sums)}
             )
-            found = ti.Struct({name: self._flow(i, dt, name, field) for name, field in ti.static(sums)})
             values[i] = values[i] + ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
-        if ti.static(self.has_loss_heat):
-            self.loss_heat[i] = ti.cast(0, ti.i64)
 
     @ti.func
     def _add_to_wall(self, chunk, w, k: ti.template(), amount, ahead: ti.template()):

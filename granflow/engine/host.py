@@ -548,7 +548,9 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         "group": new.group,
     }
     for name, values in (plan.initial_values | plan.initial_sources).items():
-        arrays[name] = np.array(values)[new.group]
+        of_group = np.array(values)[new.group]
+        given = new.initial_values.get(name, np.full(count, np.nan))
+        arrays[name] = np.where(np.isnan(given), of_group, given)
     if plan.features.liquid_transfer:
         arrays["liquid_film"] = _films(plan, new.group, sphere_volume(new.radius))
     return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays
@@ -589,6 +591,7 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
     arrays |= {"id": first_id + np.arange(count), "clump": np.full(count, -1), "clump_size": size[row]}
     arrays |= {"clump_mass": arrays["mass"].copy(), "orientation": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))}
     arrays |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
+    arrays["exposed_share"] = np.ones(count)
     for number, group in enumerate(plan.groups):
         own = np.flatnonzero(new.group[row] == number)
         body = group.spec.shape.body
@@ -599,6 +602,8 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
             for name, values in body.sphere_arrays(density, member[own]).items():
                 arrays[name][own] = values
             arrays["orientation"][own] = product(new.orientation[row[own]], body.principal_axes)
+            for name in plan.initial_sources:
+                arrays[name][own] *= body.volume_share[member[own]]
             if "liquid_film" in arrays:
                 shares = body.volume * body.volume_share[member[own]]
                 arrays["liquid_film"][own] = _films(plan, new.group[row[own]], shares)

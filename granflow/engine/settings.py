@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from granflow.engine.clumps import body_positions, mass_shares
 from granflow.engine.host import copy_to_host, write_particles
 from granflow.engine.state import State
 from granflow.engine.sums import exact_sum
@@ -14,12 +15,16 @@ from granflow.scene.blocks.settings import StageSetting
 def apply_settings(state: State, accounting: Accounting, settings: Sequence[StageSetting]) -> list[int]:
     """Set the properties of the particles that are present, in the order of the settings.
 
+    A clump takes them if its center of mass is in the region.
+
     Returns the number of particles, of all ranks, to which each setting applies. All ranks call this.
     """
     groups = [group.name for group in state.plan.groups]
-    arrays = copy_to_host(state, ("id", "position"))
+    arrays = copy_to_host(state, ("id", "position", "mass", "clump", "clump_position", "clump_mass"))
     group = accounting.by_id("group", arrays["id"])
-    points = state.plan.periodic_box.wrap(arrays["position"].astype(float))
+    points = state.plan.periodic_box.wrap(body_positions(arrays).astype(float))
+    share = mass_shares(arrays)
+    sources = [source.name for source in state.plan.sources.values()]
     counts = []
     for setting in settings:
         chosen = np.ones(len(group), bool)
@@ -29,7 +34,10 @@ def apply_settings(state: State, accounting: Accounting, settings: Sequence[Stag
             chosen &= setting.region.contains(points)
         indices = np.flatnonzero(chosen)
         for name, value in setting.values.items():
-            set_property(state, accounting, name, indices, np.full(len(indices), value))
+            values = np.full(len(indices), value)
+            if name in sources:  # that of a clump is released in its spheres
+                values *= share[indices]
+            set_property(state, accounting, name, indices, values)
         counts.append(int(state.ranks.total(np.array([[len(indices)]]))[0][0]))
     return counts
 

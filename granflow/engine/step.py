@@ -159,6 +159,8 @@ class TimeStep:
             if ti.static(self.features.clumps):
                 displacement = 0.0 * self.particles.position[i]
                 if self.particles.clump[i] >= 0:
+                    if ti.static(self.has_flows):
+                        self.flows.integrate(i, dt)
                     displacement = self.clumps.move(chunk, i, pose, dt)
                     if ti.static(self.features.external_forces and self.features.energy_budget):
                         velocity = self.particles.velocity[i]
@@ -322,7 +324,7 @@ class TimeStep:
         force_sum = ti.Vector.zero(ti.f64, 3)
         torque_sum = ti.Vector.zero(ti.f64, 3)
         if ti.static(self.has_flows):
-            self.flows.begin(chunk, i, normal_time_step(dt, self.longest_time_step()))
+            self.flows.begin(chunk, i, normal_time_step(dt, self.longest_time_step()), dt)
         if ti.static(self.exact):
             force_sum = self.to_grid(self.particles.mass[i] * gravity, self.shift()[UNIT_FORCE])
             if ti.static(self.features.clumps):  # the weight of a clump acts at its center of mass

@@ -192,6 +192,11 @@ class Stepper:
             done += self._advance_once(steps - done, step + done)
         return done
 
+    def _clear_loss_heat(self) -> None:
+        """Clear the heat of losses that the integration has taken, before a rebuild deletes particles."""
+        if self.state.plan.features.loss_heat:
+            self.state.particles.loss_heat.fill(0)
+
     @property
     def abort_code(self) -> int:
         """0, or the abort code."""
@@ -230,6 +235,7 @@ class Stepper:
         self._write_force_inputs(step + 1)
         done = self._sampled_step() if self._is_sample_due else self._launch(steps)
         if self._is_rebuild_due and not self.abort_code:
+            self._clear_loss_heat()
             self.rebuild_neighbor_lists(step + done + 1, self.poses.next + done)
             self._write_force_inputs(step + done + 1)
             self.forces(pose=self.poses.next + done)

@@ -28,6 +28,7 @@ class ClumpBody:
     offset:          centers of the spheres (k, 3) [m] relative to the center of mass, along the principal
                      axes
     radius:          radii of the spheres (k,) [m]
+    exposed_share:   share (k,) of the surface of each sphere that lies in no other sphere
     """
 
     volume: float
@@ -36,6 +37,7 @@ class ClumpBody:
     principal_axes: np.ndarray
     offset: np.ndarray
     radius: np.ndarray
+    exposed_share: np.ndarray
 
     def __len__(self) -> int:
         return len(self.radius)
@@ -69,6 +71,7 @@ class ClumpBody:
             "mass": mass * self.volume_share[member],
             "clump_mass": mass,
             "clump_inertia": density[:, None] * self.moments,
+            "exposed_share": self.exposed_share[member],
         }
 
     def spheres(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
@@ -90,7 +93,7 @@ def clump_body(position: tuple[tuple[float, float, float], ...], radius: tuple[f
     radii = np.array(radius)
     scale = float(radii.max())
     origin = centers.mean(axis=0)
-    volume, first, second = union_integrals((centers - origin) / scale, radii / scale)
+    volume, first, second, area = union_integrals((centers - origin) / scale, radii / scale)
     center = first / volume
     second = second - volume * np.outer(center, center)
     moments, axes = _principal(np.trace(second) * np.eye(3) - second)
@@ -102,6 +105,7 @@ def clump_body(position: tuple[tuple[float, float, float], ...], radius: tuple[f
         principal_axes=of_matrix(axes),
         offset=(centers - center) @ axes,
         radius=radii,
+        exposed_share=area * scale**2 / (4.0 * np.pi * radii**2),
     )
 
 
@@ -199,17 +203,22 @@ ARC_POINTS = 8
 """Points of the quadrature on an arc of at most a quarter of a circle."""
 
 
-def union_integrals(position: np.ndarray, radius: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Volume [m3], and integrals of x (3,) [m4] and of x x (3, 3) [m5] over the union of spheres.
+def union_integrals(
+    position: np.ndarray, radius: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Volume [m3], and integrals of x (3,) [m4] and of x x (3, 3) [m5] over the union of spheres; exposed
+    areas (k,) [m2] of the spheres.
 
     `position` (k, 3) [m], near the origin for the accuracy of the integrals; `radius` (k,) [m].
     """
     total = np.zeros(13)
+    area = np.zeros(len(radius))
     for index in range(len(radius)):
         caps = _caps(position, radius, index)
         if caps is not None:
-            total += _exposed_integrals(position[index], float(radius[index]), *caps)
-    return float(total[0]) / 3.0, total[1:4] / 4.0, total[4:].reshape(3, 3) / 5.0
+            sums, area[index] = _exposed_integrals(position[index], float(radius[index]), *caps)
+            total += sums
+    return float(total[0]) / 3.0, total[1:4] / 4.0, total[4:].reshape(3, 3) / 5.0, area
 
 
 def _caps(position: np.ndarray, radius: np.ndarray, index: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -236,8 +245,10 @@ def _caps(position: np.ndarray, radius: np.ndarray, index: int) -> tuple[np.ndar
     return unit, cosine
 
 
-def _exposed_integrals(center: np.ndarray, radius: float, unit: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Sums (13,) of s, x s and x x s over the part of a sphere outside the caps."""
+def _exposed_integrals(
+    center: np.ndarray, radius: float, unit: np.ndarray, cosine: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Sums (13,) of s, x s and x x s over the part of a sphere outside the caps, and its area [m2]."""
     polar = np.arccos(np.clip(unit[:, 2], -1.0, 1.0))
     half_angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     ends = np.unique(np.concatenate([[-1.0, 1.0], np.cos(polar - half_angle), np.cos(polar + half_angle)]))
@@ -253,7 +264,8 @@ def _exposed_integrals(center: np.ndarray, radius: float, unit: np.ndarray, cosi
     area = (radius**2 * share[:, None] * angle_share).ravel()
     point = center + radius * normal
     flux = area * np.einsum("ij,ij->i", point, normal)
-    return np.concatenate([[flux.sum()], flux @ point, ((flux[:, None] * point).T @ point).ravel()])
+    sums = np.concatenate([[flux.sum()], flux @ point, ((flux[:, None] * point).T @ point).ravel()])
+    return sums, float(area.sum())
 
 
 def _exposed_angles(

@@ -371,6 +371,21 @@ class LiveParticles:
                 "clump, which moves as one body; leave those of clumps unchanged."
             )
 
+    def _refuse_unequal_in_clumps(self, name: str, values: np.ndarray) -> None:
+        """Raise GranflowError unless all spheres of each clump have the same of the values (n,)."""
+        if not self._engine.plan.features.clumps:
+            return
+        ids = np.asarray(self.id)
+        clump = self._field("clump")
+        first = values[np.searchsorted(ids, np.where(clump >= 0, clump, ids))]
+        unequal = np.flatnonzero(values != first)
+        if len(unequal):
+            k = unequal[0]
+            raise GranflowError(
+                f"particles.{name}: sphere {ids[k]} would have {values[k]:.6g}, and sphere {clump[k]} of the "
+                f"same clump {first[k]:.6g}; give all spheres of a clump the same {name}."
+            )
+
     def _masses(self, indices: np.ndarray) -> np.ndarray:
         return self._engine.copied(("mass",))["mass"][indices]
 
@@ -420,9 +435,11 @@ class LiveParticles:
             present = np.asarray(getattr(self, name))
             compared = values
         rows = np.flatnonzero((present != compared).reshape(len(present), -1).any(axis=1))
-        self._refuse_in_clumps("diameter" if name == "radius" else name, rows)
+        is_content = name in engine.accounting.contents_set
+        if not is_content:  # a property that all spheres of a clump have in common
+            self._refuse_in_clumps("diameter" if name == "radius" else name, rows)
         engine.begin_change()
-        if name in engine.accounting.contents_set:
+        if is_content:
             set_property(
                 engine.state, engine.accounting, name, present_indices(engine.state)[rows], values[rows]
             )
@@ -468,6 +485,7 @@ class LiveParticles:
             raise GranflowError(
                 f"particles.temperature would be {values.min():.6g} K, but a temperature is above 0 K."
             )
+        self._refuse_unequal_in_clumps("temperature", values)
         self._write("temperature", values)
 
     def _write_diameter(self, values: np.ndarray) -> None:

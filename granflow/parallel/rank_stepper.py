@@ -154,6 +154,7 @@ class RankStepper(Stepper):
         moving:  time [s] of the integration
         """
         if is_due:
+            self._clear_loss_heat()
             self.rebuild_neighbor_lists(step + 1, self.poses.next)
             self._write_force_inputs(step + 1)
         forcing = self._launch_phase(moving=0)

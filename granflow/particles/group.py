@@ -6,8 +6,8 @@ group.
 """
 
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -88,7 +88,8 @@ class ParticleData:
     float64; `material` (n,) int32 index into list(scene.materials), `group` (n,) int32 index into
     list(scene.particles). `orientation` (n, 4): unit quaternions (w, x, y, z) by which clumps are turned;
     None without clumps. The position of a clump is its center of mass, its radius that of the sphere around
-    it.
+    it. `initial_values`: arrays (n,) of properties that particle equations change, such as temperature, by
+    name; NaN, or a property without an array, is the value of the group.
 
     >>> import numpy as np
     >>> vectors, numbers = np.zeros((1, 3)), np.zeros(1, dtype=np.int32)
@@ -103,6 +104,7 @@ class ParticleData:
     material: np.ndarray
     group: np.ndarray
     orientation: np.ndarray | None = None
+    initial_values: Mapping[str, np.ndarray] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
         shape = np.shape(self.radius)
@@ -110,8 +112,9 @@ class ParticleData:
         expected = dict.fromkeys(("radius", "material", "group"), shape) | dict.fromkeys(vectors, (*shape, 3))
         if self.orientation is not None:
             expected["orientation"] = (*shape, 4)
+        expected |= dict.fromkeys(self.initial_values, shape)
         for name, wanted in expected.items():
-            values = getattr(self, name)
+            values = self.initial_values[name] if name in self.initial_values else getattr(self, name)
             if not isinstance(values, np.ndarray) or values.dtype.kind not in "iuf" or len(shape) != 1:
                 raise GranflowError(
                     f"ParticleData: {name} is {shown(values)}, but must be an array of numbers."
@@ -133,9 +136,16 @@ class ParticleData:
             empty_vectors = np.empty((0, 3))
             empty_numbers = np.empty(0, dtype=np.int32)
             return cls(empty_vectors, empty_vectors, empty_vectors, empty, empty_numbers, empty_numbers)
-        names = [name for name in cls.__dataclass_fields__ if name != "orientation"]
+        names = [name for name in cls.__dataclass_fields__ if name not in ("orientation", "initial_values")]
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return cls(**arrays, orientation=_joined_orientations(parts))
+        properties = dict.fromkeys(name for part in parts for name in part.initial_values)
+        values = {
+            name: np.concatenate(
+                [part.initial_values.get(name, np.full(len(part), np.nan)) for part in parts]
+            )
+            for name in properties
+        }
+        return cls(**arrays, orientation=_joined_orientations(parts), initial_values=values)
 
 
 def _joined_orientations(parts: Sequence[ParticleData]) -> np.ndarray | None:

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from granflow.contact.law import FlowCase
 from granflow.contact.particle_equation import ParticleEquation
 from granflow.errors import SceneError
-from granflow.geometry.sphere import sphere_mass
 from granflow.plan.plan import Plan
 
 CONTACTS = 12
@@ -32,13 +31,20 @@ def refuse_long_step(plan: Plan) -> None:
 
 
 def _longest_steps(plan: Plan, equation: ParticleEquation) -> Iterator[float]:
-    """Limit of the time step [s] of the smallest particle of each group."""
+    """Limit of the time step [s] of the smallest particle of each group; each sphere of a clump has its own
+    contacts."""
     for group in plan.scene.particles.values():
-        radius = 0.5 * group.diameters[0]
-        mass = sphere_mass(radius, plan.scene.materials[group.material].density)
-        slope = max(_slopes(plan, equation, group.material, radius), default=0.0)
+        density = plan.scene.materials[group.material].density
+        smallest = 0.5 * group.diameters[0]
+        body = group.shape.body
+        radii = [smallest] if body is None else body.radius.tolist()
+        slopes = {
+            radius: max(_slopes(plan, equation, group.material, radius), default=0.0) for radius in set(radii)
+        }
+        mass = group.shape.mass_of_sphere(smallest, density)
         constants = plan.material_constants(equation, group.material)
-        yield equation.longest_time_step(constants, radius, mass, CONTACTS * slope)
+        slope = CONTACTS * sum(slopes[radius] for radius in radii)
+        yield equation.longest_time_step(constants, max(radii), mass, slope)
 
 
 def _slopes(plan: Plan, equation: ParticleEquation, material: str, radius: float) -> Iterator[float]:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import PydanticCustomError
 
 from granflow.errors import GranflowError, SceneError
 from granflow.geometry.clump import ClumpBody, product
@@ -70,9 +71,27 @@ def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
         )
     for number, body in bodies.items():
         _refuse_other_clumps(plan.groups[number].name, body, given, given.group == number)
+    _refuse_other_values(plan.scene, given)
     for name in ("position", "velocity", "angular_velocity"):
         if getattr(given, name).shape != (count, 3) or not np.isfinite(getattr(given, name)).all():
             raise GranflowError(f"particles.{name} is not an array ({count}, 3) of finite numbers.")
+
+
+def _refuse_other_values(scene: Scene, given: ParticleData) -> None:
+    """Raise GranflowError for a property that no equation of the scene changes, or values out of range."""
+    equations = {each.name: each for each in scene.equations}
+    for name, values in given.initial_values.items():
+        if name not in equations:
+            known = f"changes {', '.join(equations)}" if equations else "has no particle equation"
+            raise GranflowError(f"particles.initial_values has {name}, but the scene {known}; leave it out.")
+        known_values = values[~np.isnan(values)]
+        for value in (known_values.min(), known_values.max()) if len(known_values) else ():
+            try:
+                equations[name].initial.read(float(value))
+            except PydanticCustomError as error:
+                raise GranflowError(
+                    f"particles.initial_values has a {name} of {value:.6g}: {error.message()}."
+                ) from None
 
 
 def _refuse_other_clumps(name: str, body: ClumpBody, given: ParticleData, own: np.ndarray) -> None:
@@ -106,8 +125,10 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     """Return the particles of each group that the earlier run also has, from its newest checkpoint, by group.
 
     Positions, velocities, angular velocities, orientations and sizes are those of the run, materials those of
-    the scene. All are float64, synchronized to the same time, ordered by id. Particles of a `fixed` group are
-    at rest. The contact history is not transferred. Empty without `start_from`.
+    the scene. Properties of particle equations, such as the temperature, are those of the run, or of the
+    group if the run has none; sources are those of the scene. All are float64, synchronized to the same time,
+    ordered by id. Particles of a `fixed` group are at rest. The contact history is not transferred. Empty
+    without `start_from`.
 
     Raises SceneError if the run does not exist, if the count or the sizes of its particles exceed those of
     the group in the scene, or if their clumps differ; CheckpointError if its newest checkpoint has another
@@ -197,7 +218,14 @@ def _particles_of_group(
         radius=arrays["radius"],
         material=np.full(count, group.material_number, np.int32),
         group=np.full(count, group.number, np.int32),
+        initial_values=_values_of_equations(group, arrays),
     )
+
+
+def _values_of_equations(group: SceneGroup, arrays: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Properties of the particle equations of the scene that the earlier run has."""
+    names = [each.name for each in group.scene.equations]
+    return {name: arrays[name] for name in names if name in arrays}
 
 
 def _clumps_of_group(
@@ -218,6 +246,7 @@ def _clumps_of_group(
         material=np.full(count, group.material_number, np.int32),
         group=np.full(count, group.number, np.int32),
         orientation=product(arrays["orientation"][first], body.principal_axes * [1.0, -1.0, -1.0, -1.0]),
+        initial_values={name: each[first] for name, each in _values_of_equations(group, arrays).items()},
     )
 
 

@@ -407,8 +407,8 @@ def liquid_content(parts: PartialScene) -> Iterator[Fault]:
 def equation_values(parts: PartialScene) -> Iterator[Fault]:
     """A particle equation requires an initial value of each group, and its keys of their materials.
 
-    Clumps are not supported, and earlier runs have no values. A value for an equation that does not act would
-    have no effect, nor would a source of a flow that no model has.
+    A value for an equation that does not act would have no effect, nor would a source of a flow that no model
+    has.
     """
     scene = parts.scene
     present = {name for model in scene.chosen_models.values() for name in model.law.flows}
@@ -419,24 +419,16 @@ def equation_values(parts: PartialScene) -> Iterator[Fault]:
             reason = f"has no effect: {missing_flow}{' that changes it' if name in needed else ''}"
             yield whole(path, f"{reason}; remove it, or select such a model")
     for equation in scene.equations:
-        flowing = [each for each in scene.chosen_models.values() if each.law.flows]
-        models = " and ".join(f"contact.{each.slot}: {each.name}" for each in flowing)
         for name, group in scene.particles.items():
             if getattr(group, equation.name) is None:
                 value = f"give the initial value, {equation.meaning} [{equation.unit}]"
                 yield missing(("particles", name, equation.name), value)
-            if group.clump is not None:
-                reason = f"cannot be combined with {models}: a clump has no {equation.name}"
-                yield whole(("particles", name, "clump"), f"{reason}; use spheres, or remove this model")
         used = dict.fromkeys(group.material for group in scene.particles.values())
         for name in (each for each in used if each in scene.materials):
             for key, each in equation.material_properties.model_fields.items():
                 if getattr(scene.materials[name], key) is None:
                     reason = f"{each.description}, for the equation of the {equation.name}"
                     yield missing(("materials", name, key), reason)
-        if scene.start_from is not None:
-            reason = f"cannot be combined with {models}: no {equation.name} of the earlier run is read"
-            yield whole(("start_from",), f"{reason}; remove one of the two")
 
 
 def wall_values(parts: PartialScene) -> Iterator[Fault]:

@@ -172,7 +172,8 @@ def sheared_films() -> Scene:
 
 
 def conducting() -> Scene:
-    """The poured bed with temperatures, of which one wall has one and wears, and another one a heat flux."""
+    """The poured bed and rods with temperatures, of which one wall has one and wears, and another one a heat
+    flux."""
     thermal = {"thermal_conductivity": 50.0, "heat_capacity": 0.5, "emissivity": 0.9}
     contact: dict[str, Any] = {"normal": "zhou", "tangential": "mindlin", "rolling": "epsd"}
     gas = {"conductivity": 0.05, "min_gap": 1e-5}
@@ -195,7 +196,7 @@ def conducting() -> Scene:
         {"temperature": 500.0, "region": half},
         {"heat_source": -0.1, "groups": ["rain"]},
     ]
-    return Scene.from_dict(scene)
+    return with_rods(Scene.from_dict(scene), temperature=320.0, heat_source=0.3)
 
 
 def disturb(simulation: Simulation) -> None:

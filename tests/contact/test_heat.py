@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from clumps import clump_group
 from scene_builders import SOFT, box, build_scene, moving_lattice
 
 from granflow import Scene, Simulation, StageSetting
@@ -191,18 +192,24 @@ def check_changes_from_python(simulation):
         particles.temperature[0] = 0.0
 
 
+ROD = [[-1.5e-3, 0.0, 0.0], [0.0, 0.0, 0.0], [1.5e-3, 0.0, 0.0]]
+
+
 def bed(normal="hertz", **contact):
-    """A lattice in fast motion between walls, one of which is hot; without `contact` it has no heat."""
+    """A lattice in fast motion between walls, one of which is hot, and rods that fall onto it; without `contact`
+    they have no heat."""
     walls = box(0.042)
     materials = {"glass": SOFT}
     lattice = moving_lattice((6, 6, 4), largest=0.0062, speed=1.0)
+    sites = [[0.006, 0.01, 0.034], [0.021, 0.012, 0.034], [0.021, 0.03, 0.034]]
+    rods = clump_group(sites, ROD, 1.4e-3, "random", velocity=[-1.0, 0.0, -4.0])
     if contact:
         walls["low_x"]["temperature"] = HOT
-        lattice["temperature"] = COLD
+        lattice["temperature"] = rods["temperature"] = COLD
         materials = {"glass": SOFT | {"thermal_conductivity": 50.0, "heat_capacity": 1.0}}
     models = {"normal": normal, "tangential": "mindlin", "rolling": "epsd"} | contact
     return build_scene(
-        {"lattice": lattice}, walls, materials=materials, contact=models,
+        {"lattice": lattice, "rods": rods}, walls, materials=materials, contact=models,
         pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
         numerics={"chunk_size": 32, "skin": 2e-4}, output={"interval": 1.0, "energy_budget": True},
         run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6},
@@ -242,32 +249,108 @@ def test_the_losses_of_contacts_become_heat():
     assert abs(totals["energy_error"]) < 1e-3
 
 
-def test_a_sphere_radiates_to_its_surroundings():
-    """Spheres between plates that they do not touch: explicit steps of m c dT/dt = e s 4 pi R^2 (Ts^4 - T^4)."""
-    emissivity, there = 0.8, 350.0
+EMISSIVITY, SURROUNDINGS, LAG = 0.8, 350.0, 20.0
+"""`LAG`: factor of the heat capacities in the scene of radiating bodies."""
+FUSED_SOURCE = 0.1
+
+
+def radiating_scene():
+    """Bodies between plates that they do not touch, and a sphere of a clump between insulated plates with a
+    single sphere, both of a material without radiation.
+
+    The fused ones are two spheres with a distance of one radius; the clump at the plates has two that touch,
+    one outside of the plates.
+    """
     scene = lines_scene().to_dict()
-    scene["contact"]["heat"] = {"law": "conduction", "surroundings": there}
-    scene["run"]["time_step"] = TIME_STEP
+    scene["contact"]["heat"] = {"law": "conduction", "surroundings": SURROUNDINGS}
     for name, each in scene["materials"].items():
-        each["emissivity"] = emissivity if name == "sphere" else 0.0
-        each["heat_capacity"] *= 20.0
+        each["emissivity"] = EMISSIVITY if name == "sphere" else 0.0
+        each["heat_capacity"] *= LAG
     group = scene["particles"]["line_2_0"]
+    fused = [[0.0, 0.0, 0.0], [RADIUS, 0.0, 0.0]]
+    pair = [[0.0, 0.0, 0.0], [0.0, 2.0 * RADIUS, 0.0]]
     scene["particles"] = {
         "hot": group | {"temperature": 900.0, "insert": {"kind": "positions", "positions": [[0.1, 0.1, 0.1]]}},
         "other": group | {"material": "other", "temperature": 300.0, "insert": {"kind": "positions", "positions": [[0.1, 0.1, 0]]}},
+        "fused": clump_group([[0.1, 0.0, 0.1]], fused, RADIUS, material="sphere", temperature=900.0, heat_source=FUSED_SOURCE),
+        "at_plate": clump_group([[END, 0.03 + RADIUS, 0.0]], pair, RADIUS, material="other", temperature=HOT),
+        "line_1_1": scene["particles"]["line_1_1"],
     }  # fmt: skip
-    with Simulation(Scene.from_dict(scene), threads=2) as simulation:
+    return Scene.from_dict(scene)
+
+
+def test_spheres_and_clumps_radiate_and_conduct_with_one_temperature(tmp_path):
+    """Explicit steps of m c dT/dt = e s A (Ts^4 - T^4) + S, and of a clump and a sphere in contact.
+
+    Of each fused sphere, a cap of the height h = R/2 and the area 2 pi R h lies in the other one; both have in common
+    two caps of the volume pi h^2 (R - h/3).
+    """
+    cap_height = 0.5 * RADIUS
+    area = 4.0 * np.pi * RADIUS**2
+    fused_area = 2.0 * (area - 2.0 * np.pi * RADIUS * cap_height)
+    common = 2.0 * np.pi * cap_height**2 * (RADIUS - cap_height / 3.0)
+    fused_capacity = LAG * CAPACITY * (2.0 - common * DENSITY / MASS)
+    with Simulation(radiating_scene(), threads=2, out=tmp_path / "first") as simulation:
         start = simulation.snapshot().totals
         simulation.step(FIRST_STEPS)
         found = simulation.snapshot()
-    expected = 900.0
+        simulation.save()
+    temperature = found.particles["temperature"]
+    expected, fused = 900.0, 900.0
+    clump, sphere = HOT, COLD
+    conductance = 2.0 * OTHER_CONDUCTIVITY * CONTACT_RADIUS
+    capacity = LAG * OTHER_CAPACITY
     for _ in range(FIRST_STEPS):
-        flow = emissivity * 5.670374419e-8 * 4.0 * np.pi * RADIUS**2 * (there**4 - expected**4)
-        expected += TIME_STEP * flow / (20.0 * CAPACITY)
-    assert expected < 700.0
-    assert found.particles["temperature"].tolist() == pytest.approx([expected, 300.0], rel=1e-10)
-    gained = found.totals["heat_content"] - start["heat_content"]
-    assert found.totals["surroundings_heat"] == pytest.approx(gained, rel=1e-9)
+        expected += TIME_STEP * radiated(area, expected) / (LAG * CAPACITY)
+        fused += TIME_STEP * (radiated(fused_area, fused) + FUSED_SOURCE) / fused_capacity
+        flow = conductance * (clump - sphere)
+        clump -= TIME_STEP * flow / (2.0 * capacity)
+        sphere += TIME_STEP * flow / capacity
+    assert expected < 700.0 and clump - sphere < 0.97 * (HOT - COLD)
+    by_sphere = [expected, 300.0, fused, fused, clump, clump, sphere]
+    assert temperature.tolist() == pytest.approx(by_sphere, rel=1e-10)
+    totals = found.totals
+    assert totals["heat_content"] - start["heat_content"] == pytest.approx(
+        totals["surroundings_heat"] + totals["source_heat"], rel=1e-9
+    )
+    assert totals["source_heat"] == pytest.approx(FIRST_STEPS * TIME_STEP * FUSED_SOURCE, rel=1e-12)
+    check_start_from(tmp_path / "first", temperature)
+
+
+def radiated(area, temperature):
+    """Heat flow [W] to a gray body from the surroundings."""
+    return EMISSIVITY * 5.670374419e-8 * area * (SURROUNDINGS**4 - temperature**4)
+
+
+def check_start_from(directory, temperature):
+    """A run that starts from another one has its temperatures, of clumps, too; a program sets those of all
+    spheres of a clump together, and so does a stage by the center of mass."""
+    scene = radiating_scene().to_dict()
+    corner = [0.1 - 1e-4, -1.0, 0.05]
+    setting = {
+        "temperature": 500.0,
+        "heat_source": 0.4,
+        "region": {"box": {"min": corner, "max": [1, 0.05, 1]}},
+    }
+    del scene["run"]["duration"]
+    scene["stages"] = [
+        {"name": "wait", "duration": TIME_STEP},
+        {"name": "set", "duration": 1.0, "set": setting},
+    ]
+    with Simulation(Scene.from_dict(scene | {"start_from": str(directory)}), threads=2) as simulation:
+        particles = simulation.particles
+        assert particles.temperature.tolist() == temperature.tolist()
+        with pytest.raises(
+            GranflowError, match=r"sphere 3 would have 310, and sphere 2 of the same clump 597.* give all"
+        ):
+            particles.temperature[3] = 310.0
+        particles.temperature[2:4] = 310.0
+        assert particles.temperature.tolist() == [*temperature[:2], 310.0, 310.0, *temperature[4:]]
+        simulation.step(2)
+        found = simulation.snapshot().particles
+        assert found["temperature"][2:4].tolist() == pytest.approx([500.0] * 2, abs=0.5)
+        assert found["temperature"][2] == found["temperature"][3]
+        assert found["heat_source"].tolist() == pytest.approx([0.0, 0.0, 0.2, 0.2, 0.0, 0.0, 0.0])
 
 
 def stages_scene():

@@ -11,11 +11,12 @@ from scene_builders import particle_group
 
 import granflow as gf
 from granflow.cli.main import main
+from granflow.engine.host import new_particle_arrays
 from granflow.errors import GranflowError, SceneError
 from granflow.io.checkpoint import newest_checkpoint
 from granflow.load import scene_of
 from granflow.particles.insertion import initial_particles
-from granflow.runs.initial_particles import particles_from_run
+from granflow.runs.initial_particles import particles_from_run, refuse_other_particles
 from granflow.runs.resume import accepted_change, differences, forbidden
 
 STAGES = [{"name": "hold", "duration": 0.02}, {"name": "fall", "duration": 0.02}]
@@ -237,6 +238,20 @@ def test_start_from_copies_the_last_state_of_another_run(checkpoint, restored):
     np.testing.assert_array_equal(start.position[1:], restored["position"])
     np.testing.assert_array_equal(start.radius[1:], restored["radius"])
     np.testing.assert_allclose(start.velocity[1:], restored["velocity"], rtol=1e-12, atol=1e-15)
+    # The run had no temperatures: each particle has that of its group.
+    warm = scene.to_dict()
+    warm["contact"]["heat"] = "conduction"
+    warm["materials"]["glass"] |= {"thermal_conductivity": 1.0, "heat_capacity": 500.0}
+    for name, temperature in (("fresh", 300.0), ("balls", 400.0)):
+        warm["particles"][name]["temperature"] = temperature
+    plan = gf.plan_for(gf.Scene.from_dict(warm))
+    arrays = new_particle_arrays(plan, initial_particles(plan.scene, particles_from_run(plan.scene)), 0)
+    assert arrays["temperature"].tolist() == [300.0, *[400.0] * 4]
+    other = replace(start, initial_values={"temperature": np.array([300.0, np.nan, -1.0, 300.0, 300.0])})
+    with pytest.raises(GranflowError, match="has a temperature of -1: a temperature must be above 0"):
+        refuse_other_particles(plan, other)
+    with pytest.raises(GranflowError, match="has temperature, but the scene has no particle equation; leave"):
+        refuse_other_particles(gf.plan_for(scene), other)
 
 
 def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):

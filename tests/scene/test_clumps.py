@@ -37,11 +37,6 @@ SHEARED = {
     "min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error", "periodic": ["x", "y", "z"],
     "lees_edwards": {"flow": "x", "gradient": "z", "rate": 1.0},
 }  # fmt: skip
-THERMAL = {"thermal_conductivity": 1.0, "heat_capacity": 0.5}
-WARM = {
-    "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none", "heat": "conduction"},
-    "materials": {"glass": SOFT | THERMAL},
-}
 EXCLUDED = {
     "`fixed` of the group": ({"fixed": True}, {}, "particles.rods.fixed is true, but clumps cannot be fixed"),
     "`insert.kind` of the group: `file`, `python`": (
@@ -56,9 +51,6 @@ EXCLUDED = {
     "`kind: stress` of `output.metrics`": (
         {}, {"output": {"interval": 1.0, "metrics": {"all": {"kind": "stress"}}}},
         "output.metrics.all.kind is stress, but particles.rods are clumps, for which it is not implemented",
-    ),
-    "`contact.heat`": (
-        {"temperature": 300.0}, WARM, "particles.rods.clump cannot be combined with contact.heat: conduction: a clump has no temperature"
     ),
 }  # fmt: skip
 """What clumps exclude, as in the table of the guide: changes of the group and of the scene, and the message."""

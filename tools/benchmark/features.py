@@ -293,10 +293,8 @@ def start_of(simulation: Simulation) -> StartState:
     """Present particles and walls of a simulation."""
     engine = simulation.engine
     snapshot = simulation.snapshot()
-    names = [
-        name for name in ParticleData.__dataclass_fields__ if name != "orientation"
-    ]  # only clumps are turned
-    data = ParticleData(*(snapshot.particles[name] for name in names))
+    names = ("position", "velocity", "angular_velocity", "radius", "material", "group")
+    data = ParticleData(*(snapshot.particles[name] for name in names))  # spheres without temperatures
     present = tuple(pose.present for pose in snapshot.walls.values())
     return StartState(data, present, engine.state.wall_motions, engine.state.clock.state_dict())
 
