@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from granflow.runs.read_run import read_run as read_run
     from granflow.runs.result import Result as Result
     from granflow.scene.blocks.contact import Contact as Contact
+    from granflow.scene.blocks.deletions import StageDeletion as StageDeletion
     from granflow.scene.blocks.domain import Domain as Domain
     from granflow.scene.blocks.domain import LeesEdwards as LeesEdwards
     from granflow.scene.blocks.gravity import ChangingGravity as ChangingGravity
@@ -213,6 +214,7 @@ _LOCATIONS = {
     "Sphere": "granflow.scene.blocks.walls.sphere.Sphere",
     "Stage": "granflow.scene.blocks.run.Stage",
     "StageCondition": "granflow.scene.blocks.run.StageCondition",
+    "StageDeletion": "granflow.scene.blocks.deletions.StageDeletion",
     "StageSetting": "granflow.scene.blocks.settings.StageSetting",
     "StopRun": "granflow.errors.StopRun",
     "StressMetric": "granflow.scene.blocks.metrics.StressMetric",

@@ -710,9 +710,12 @@ _STATE_QUANTITIES = by_name(
         Quantity("particle_count", "N", "1", "particles present"),
         Quantity("inserted_count", "", "1", "particles inserted since the start"),
         Quantity("queued_count", "", "1", "particles due but queued for lack of space; only with insertion"),
-        Quantity("deleted_count", "", "1", "particles deleted at the domain boundary or by outlets"),
+        Quantity("deleted_count", "", "1", "particles deleted at the domain boundary, by outlets and stages"),
         Quantity(
-            "deleted_mass", "", "kg", "mass of the particles deleted at the domain boundary or by outlets"
+            "deleted_mass",
+            "",
+            "kg",
+            "mass of particles deleted at the domain boundary, by outlets and stages",
         ),
         Quantity("contact_count", "Nc", "1", "contacts between particles and with walls, each counted once"),
         Quantity("wall_contact_count", "", "1", "contacts of particles with walls"),

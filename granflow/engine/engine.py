@@ -19,6 +19,7 @@ from granflow.engine.attached import attached_velocities
 from granflow.engine.backend import Backend
 from granflow.engine.clumps import CLUMP_MOTION, forces_with_weight, synchronized_clumps
 from granflow.engine.contact import collision_counts
+from granflow.engine.deletions import mark_deletions
 from granflow.engine.fields import write_field
 from granflow.engine.gravity import present_gravity
 from granflow.engine.host import (
@@ -127,6 +128,7 @@ class Engine:
         self._velocities_lag = False
         self.energy_before_change: float | None = None
         self._counts_contacts = False
+        self._deletes = False
         self.kept_particles: HostParticles | None = None
 
     def _new_stepper(self) -> Stepper:
@@ -300,6 +302,22 @@ class Engine:
         """
         settings = next(each.set_ for each in self.plan.stages if each.name == stage)
         return apply_settings(self.state, self.accounting, settings)
+
+    def delete(self, stage: str) -> list[int]:
+        """Delete the particles that vanish at the start of a stage, before its walls are set; returns the
+        number of particles of each deletion.
+
+        The energy of their contacts counts as removed. As `refresh`, it computes the forces.
+        """
+        counts_contacts = self.plan.features.energy_budget
+        before = self._contact_energy() if counts_contacts else 0.0
+        counts = mark_deletions(self.state, self.accounting, stage)
+        self._deletes = True
+        self.refresh()
+        self._deletes = False
+        if counts_contacts:
+            self.accounting.inserted_energy += self._contact_energy() - before
+        return counts
 
     def begin_change(self) -> None:
         """Prepare a change of the particles: shift all velocities to the time of the positions.
@@ -644,7 +662,7 @@ class Engine:
 
         This may abort the run, see `account_deleted`.
         """
-        account_deleted(self.state, self.accounting, arrays)
+        account_deleted(self.state, self.accounting, arrays, counts_removed=self._deletes)
 
 
 # Sums over the chunks of particles, and force-controlled walls, in checkpoints.

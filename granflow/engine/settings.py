@@ -31,7 +31,7 @@ def apply_settings(state: State, accounting: Accounting, settings: Sequence[Stag
         if setting.groups is not None:
             chosen &= np.isin(group, [groups.index(name) for name in setting.groups])
         if setting.region is not None:
-            chosen &= setting.region.contains(points)
+            chosen &= setting.region.distance(points) <= 0.0
         indices = np.flatnonzero(chosen)
         for name, value in setting.values.items():
             values = np.full(len(indices), value)

@@ -607,24 +607,29 @@ DELETED_FIELDS = tuple(
 
 
 def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarray]:
-    """DELETED_FIELDS of the particles `first` to `last`, exclusive, in the order of their ids.
-
-    Particles that a program has removed are left out: they are counted where it removes them.
-    """
+    """DELETED_FIELDS of the particles `first` to `last`, exclusive, in the order of their ids."""
     arrays = copy_to_host(state, DELETED_FIELDS, first, last)
     by_id = np.argsort(arrays["id"])
-    arrays = {name: values[by_id] for name, values in arrays.items()}
-    return {name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()}
+    return {name: values[by_id] for name, values in arrays.items()}
 
 
-def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, np.ndarray]) -> None:
+def account_deleted(
+    state: State, accounting: Accounting, arrays: Mapping[str, np.ndarray], counts_removed: bool
+) -> None:
     """Add deleted particles with the fields DELETED_FIELDS to the accounting.
+
+    counts_removed:  whether particles that are marked by `remove_particles` count here; those that a program
+                     removes are counted there
 
     Sets the abort code if one of them left the domain and `on_exit` is error, or a wall has moved it.
     """
+    removed = arrays["radius"] <= REMOVED_BELOW
+    if removed.any() and not counts_removed:
+        arrays = {name: values[~removed] for name, values in arrays.items()}
+        removed = removed[~removed]
     position = of_clumps(arrays)["position"].astype(float)
-    outlet_index = _outlets_of(state.plan, position)
-    left_domain = outlet_index < 0
+    outlet_index = np.where(removed, -1, _outlets_of(state.plan, position))
+    left_domain = (outlet_index < 0) & ~removed
     aborts = left_domain
     if state.plan.scene.domain.on_exit != "error":
         aborts = left_domain & (arrays.get("attached_to", np.full(len(position), -1)) >= 0)

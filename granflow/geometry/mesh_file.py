@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,8 @@ STL_HEADER, STL_RECORD = (
 )
 """Bytes before the first triangle of a binary STL file, and layout of a triangle (50 bytes,
 little-endian)."""
+STL_COMMENTS = (b"#", b";", b"//", b"!")
+"""Begins of comments, which some programs write before and after the solid of a text STL file."""
 IGNORED_CELLS = ("vertex", "line")
 """Cells without a surface; ignored."""
 
@@ -67,6 +70,11 @@ def read_triangles(path: Path) -> RawTriangles:
         raise FormatError("is empty")
     if kind not in FORMATS:
         raise FormatError(f"has an unsupported format; the supported formats are {', '.join(FORMATS)}")
+    if kind == "stl" and len(plain := _without_comments(raw)) < len(raw) and _is_text_stl(plain):
+        with TemporaryDirectory() as folder:
+            copy = Path(folder, "plain.stl")
+            copy.write_bytes(plain)
+            return read_triangles(copy)
     if kind == "obj":
         found = RawTriangles(*read_obj(raw))
     elif kind == "stl" and not _is_text_stl(raw):
@@ -80,6 +88,13 @@ def read_triangles(path: Path) -> RawTriangles:
             _check_ply(raw, sum(len(block.data) for block in mesh.cells))
     _check(found)
     return found
+
+
+def _without_comments(raw: bytes) -> bytes:
+    """The bytes of a file without the lines before the first and after the last one that are comments."""
+    lines = raw.splitlines(keepends=True)
+    kept = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(STL_COMMENTS)]
+    return b"".join(lines[kept[0] : kept[-1] + 1]) if kept else raw
 
 
 def _is_text_stl(raw: bytes) -> bool:

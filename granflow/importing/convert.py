@@ -6,6 +6,7 @@ from pathlib import Path
 
 from granflow.errors import GranflowError
 from granflow.importing import (
+    deletion,
     geometry,
     heat,
     insertion,
@@ -35,6 +36,7 @@ FAMILIES = (
     motion,
     insertion,
     start,
+    deletion,
     multisphere,
     heat,
     settings,
@@ -258,6 +260,7 @@ def _draft(deck: Deck, path: Path) -> Draft:
     schedule.build(deck, draft)
     heat.build(deck, draft)
     settings.build(deck, draft)
+    deletion.build(deck, draft)
     materials.report_properties(deck)
     return draft
 

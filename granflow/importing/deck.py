@@ -300,7 +300,7 @@ class Words:
         return self.words[self.at - 1]
 
     def number(self, what: str, dimension: str = "number") -> float:
-        """The next word as a number in SI units; also an equal-style variable v_NAME. Raises DeckError."""
+        """The next word as a number in SI units. Raises DeckError."""
         return self.deck.si(self.plain(what), dimension)
 
     def plain(self, what: str) -> float:
@@ -311,9 +311,10 @@ class Words:
         try:
             found = float(word)
         except ValueError:
-            raise DeckError(
-                self.command, f"{what} is {word}, which is not a number; give one, such as 0.5."
-            ) from None
+            reason = f"{what} is {word}, which is not a number; give one, such as 0.5."
+            if word.startswith("v_"):
+                reason = f"{what} is {word}, but it cannot change during a run; give ${{{word[2:]}}}."
+            raise DeckError(self.command, reason) from None
         if not isfinite(found):
             raise DeckError(self.command, f"{what} is {word}; give a finite number.")
         return found

@@ -4,12 +4,28 @@ The runs of the script become stages where something that acts changes between t
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import cos, hypot, radians, sin
+from typing import Any
 
-from granflow.importing.deck import DEFAULT_STEPS, Deck, Fix, Run, Translation, Words, impossible, not_needed
-from granflow.importing.language import Command, DeckError
+import numpy as np
+
+from granflow.importing.deck import (
+    DEFAULT_STEPS,
+    Deck,
+    Fix,
+    Run,
+    Translation,
+    Vector,
+    Words,
+    impossible,
+    not_needed,
+)
+from granflow.importing.language import Command, DeckError, NotKnown
+from granflow.importing.regions import Track, track_variables
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.scene.blocks.gravity import MOST_ROWS
 
 LARGEST_FRAMES = 2000
 """Number of frames above which an interval of output is enlarged."""
@@ -91,34 +107,88 @@ def unfix(deck: Deck, command: Command, entry: Entry) -> None:
 # Forces on all particles
 
 
-def gravity(deck: Deck, fix: Fix) -> None:
-    """fix ID group gravity MAGNITUDE vector X Y Z | chute ANGLE | spherical PHI THETA | gradient ..."""
-    words = Words(deck, fix.entry.command, fix.words)
-    if words.next.startswith("v_"):
-        fix.entry.impossible(
-            "gravity that changes with time", "gravity: {times: [..], vectors: [..]} of the scene"
-        )
-        return
-    magnitude = words.number("the magnitude of gravity", "acceleration")
-    style = words.word("vector, chute or spherical")
+@dataclass
+class GravityFix:
+    """One fix gravity whose numbers are variables.
+
+    style:    vector, chute or spherical
+    numbers:  magnitude and numbers of the direction; NaN for those of variables
+    track:    of the variables, in their order
+    """
+
+    style: str
+    numbers: list[float]
+    track: Track
+
+    def at(self, values: np.ndarray, unit: float) -> Vector:
+        """Gravity [m/s2] for values (n,) of the variables; `unit` [m/s2]: of the magnitude."""
+        rest = iter(values)
+        numbers = [float(next(rest)) if each != each else each for each in self.numbers]
+        return _vector_of(self.style, numbers[0] * unit, numbers[1:])
+
+
+def _vector_of(style: str, magnitude: float, numbers: Sequence[float]) -> Vector:
+    """Gravity [m/s2] of the numbers of a style; ValueError for a direction of no length."""
     if style == "vector":
-        direction = words.vector("the direction")
+        direction = (numbers[0], numbers[1], numbers[2])
     elif style == "chute":
-        angle = radians(180.0 - words.plain("the angle"))
+        angle = radians(180.0 - numbers[0])
         direction = (sin(angle), 0.0, cos(angle))
-    elif style == "spherical":
-        phi = radians(words.plain("phi"))
-        theta = radians(words.plain("theta"))
-        direction = (sin(theta) * cos(phi), sin(theta) * sin(phi), cos(theta))
     else:
-        fix.entry.impossible(f"gravity in the style {style}", "vector")
-        return
+        phi, theta = map(radians, numbers)
+        direction = (sin(theta) * cos(phi), sin(theta) * sin(phi), cos(theta))
     length = hypot(*direction)
     if length == 0.0:
-        raise DeckError(fix.entry.command, "the direction of gravity is zero; give one, such as 0 0 -1.")
-    fix.data = tuple(magnitude * round(each / length, 12) + 0.0 for each in direction)
+        raise ValueError
+    x, y, z = (magnitude * round(each / length, 12) + 0.0 for each in direction)
+    return x, y, z
+
+
+GRAVITY_NUMBERS = {"vector": 3, "chute": 1, "spherical": 2}
+"""Numbers of the direction by the style of gravity."""
+
+
+def gravity(deck: Deck, fix: Fix) -> None:
+    """fix ID group gravity MAGNITUDE vector X Y Z | chute ANGLE | spherical PHI THETA; numbers or v_NAME"""
+    words = Words(deck, fix.entry.command, fix.words)
+    names: list[str] = []
+
+    def number(what: str) -> float:
+        """A number, or NaN for the next variable."""
+        if not words.next.startswith("v_"):
+            return words.plain(what)
+        names.append(words.word(what)[2:])
+        return float("nan")
+
+    numbers = [number("the magnitude of gravity")]
+    style = words.word("vector, chute or spherical")
+    if style not in GRAVITY_NUMBERS:
+        fix.entry.impossible(f"gravity in the style {style}", f"one of {', '.join(GRAVITY_NUMBERS)}")
+        return
+    numbers += [number(f"a number of {style}") for _ in range(GRAVITY_NUMBERS[style])]
     if words:
         fix.entry.impossible(f"the keyword {words.next} of gravity", "no keyword")
+    unit = deck.si(1.0, "acceleration")
+    try:
+        if not names:
+            fix.data = _vector_of(style, numbers[0] * unit, numbers[1:])
+            return
+        varying = GravityFix(style, numbers, Track(tuple(names), fix.entry))
+        fix.data = varying.at(np.array([deck.interpreter.value_at(each) for each in names]), unit)
+    except ValueError:
+        raise DeckError(
+            fix.entry.command, "the direction of gravity is zero; give one, such as 0 0 -1."
+        ) from None
+    except NotKnown as error:
+        if not error.is_result:
+            raise DeckError(fix.entry.command, f"{error}; define it before this line.") from None
+        fix.entry.impossible(
+            f"gravity that follows the simulation ({error})",
+            "gravity that time determines: a table, gravity: {times: [..], vectors: [..]}",
+        )
+        return
+    deck.own("varying_gravity", dict)[id(fix)] = varying
+    track_variables(deck, varying.track, lambda: fix.end is None)
 
 
 def viscous(deck: Deck, fix: Fix) -> None:
@@ -241,15 +311,43 @@ def build(deck: Deck, draft: Draft) -> None:
     _output(deck, draft)
 
 
-def gravity_in(deck: Deck, run: Run) -> tuple[float, ...]:
-    """Gravity [m/s2] in a run; zero without a fix that acts.
+Gravity = Vector | dict[str, Any]
+"""A constant vector [m/s2], or the times and vectors of a table."""
+
+
+def gravity_in(deck: Deck, run: Run) -> Gravity:
+    """Gravity in a run, with times from its start; zero without a fix that acts.
 
     Both codes add the forces of all fixes. Those of other groups than that of the newest fix are left out:
     fixes on parts of the particles are refused, and each of these has its own gravity.
     """
     acting = [fix for fix in deck.fixes_of("gravity") if fix.data and fix.acts_in(run)]
-    parts = [fix.data for fix in acting if fix.group == acting[-1].group]
-    return tuple(sum(components) for components in zip(*parts, strict=True)) if parts else (0.0, 0.0, 0.0)
+    acting = [fix for fix in acting if fix.group == acting[-1].group]
+    courses: list[tuple[np.ndarray, np.ndarray]] = [
+        (np.zeros(1), np.array([fix.data])) for fix in acting if not _varying(deck, fix)
+    ]
+    unit = deck.si(1.0, "acceleration")
+    for fix in acting:
+        if varying := _varying(deck, fix):
+            times, values = varying.track.over([run])
+            courses.append((times - run.start, np.array([varying.at(row, unit) for row in values])))
+    courses = [each for each in courses if len(each[0])]
+    times = np.unique(np.concatenate([np.zeros(1), *(each for each, _ in courses)]))
+    times = times[:: -(-len(times) // MOST_ROWS)]
+    total = np.zeros((len(times), 3))
+    for at, vectors in courses:
+        total += np.stack([np.interp(times, at, column) for column in vectors.T], axis=1)
+    if np.ptp(total, axis=0).max() <= 1e-9 * np.abs(total).max():
+        x, y, z = total[0].tolist()
+        return x, y, z
+    rounded = [[float(f"{each:.9g}") + 0.0 for each in row] for row in total.tolist()]
+    return {"times": [float(f"{each:.12g}") for each in times.tolist()], "vectors": rounded}
+
+
+def _varying(deck: Deck, fix: Fix) -> GravityFix | None:
+    """The variables of a fix gravity; None for one of numbers."""
+    found: GravityFix | None = deck.own("varying_gravity", dict).get(id(fix))
+    return found
 
 
 def _gravity(deck: Deck, draft: Draft) -> None:
@@ -259,16 +357,21 @@ def _gravity(deck: Deck, draft: Draft) -> None:
     present = gravity_in(deck, runs[0])
     entries = [fix.entry for fix in fixes if fix.acts_in(runs[0])]
     absent = "" if entries else "the first run of the script has no fix gravity"
-    draft.put(("gravity",), [*present], *entries, remark=absent)
+    draft.put(("gravity",), _key_of(present), *entries, remark=absent)
     names = stage_names(deck)
     for index, name in names.items():
         value = gravity_in(deck, deck.runs[index])
         if value != present:
-            next(each for each in draft.get("stages") if each["name"] == name)["gravity"] = [*value]
+            next(each for each in draft.get("stages") if each["name"] == name)["gravity"] = _key_of(value)
             present = value
     for fix in fixes:
         if fix.entry not in entries:
             fix.entry.translated("stages.NAME.gravity")
+
+
+def _key_of(gravity: Gravity) -> Any:
+    """The key gravity of a scene or a stage."""
+    return gravity if isinstance(gravity, dict) else [*gravity]
 
 
 def _domain(deck: Deck, draft: Draft) -> None:
@@ -316,7 +419,7 @@ def stage_names(deck: Deck) -> dict[int, str]:
     }
     changes |= {round(time, 12) for time in deck.own("changes", set)}
     count = 0
-    before: tuple[float, ...] = ()
+    before: Gravity | None = None
     for index, run in enumerate(deck.runs):
         if not run.steps:
             continue
@@ -463,7 +566,7 @@ COMMANDS: dict[str, Translation] = {
 }  # fmt: skip
 
 FIXES: dict[str, Translation] = {
-    "gravity": Translation(gravity, "gravity", "constant in each run; variables are refused"),
+    "gravity": Translation(gravity, "gravity", "vector, chute, spherical; variables of time become a table"),
     "viscous": Translation(viscous, "damping.drag", "a rate: the coefficient over the mass"),
     "nve/sphere": not_needed("particles that are not fixed are integrated"),
     "nve": not_needed("particles that are not fixed are integrated"),

@@ -358,7 +358,7 @@ def build(deck: Deck, draft: Draft) -> None:
         if "heat" not in draft.blocks["contact"]:
             each.entry.not_needed("no fix heat/gran conducts heat")
             continue
-        stage = _stage(deck, draft, deck.runs.index(run))
+        stage = stage_of_run(deck, draft, deck.runs.index(run))
         groups = [group_name(group) for group in deck.particles if group.type in each.types]
         names = {"groups": groups} if each.types else {}
         stage.setdefault("set", []).extend({each.key: each.value, **names, **part} for part in each.chosen)
@@ -376,7 +376,7 @@ def _of_heat(deck: Deck) -> list[Setting]:
     ]
 
 
-def _stage(deck: Deck, draft: Draft, run: int) -> dict[str, Any]:
+def stage_of_run(deck: Deck, draft: Draft, run: int) -> dict[str, Any]:
     """The stage of the scene that begins with a run; a scene with one duration gets a stage."""
     stages: list[dict[str, Any]] | None = draft.get("stages")
     if stages is None:

@@ -196,22 +196,6 @@ def _random_points(
     raise DeckError(command, f"the region {name} has no volume inside the box.")
 
 
-def delete_atoms(deck: Deck, command: Command, entry: Entry) -> None:
-    """delete_atoms region ID | group ID ..."""
-    points: Points | None = deck.family.get("points")
-    words = Words(deck, command, command.words)
-    style, which = words.word("the style"), words.word("the name")
-    if style == "region" and points is not None and deck.time == 0.0:
-        kept = ~contains(deck, region_of(deck, command, which), points.position)
-        for name in ("type", "radius", "density", "position", "motion", "fill"):
-            setattr(points, name, getattr(points, name)[kept])
-        entry.translated("particles")
-    else:
-        entry.impossible(
-            "deletion of particles during the simulation", "outlets, in which particles are deleted"
-        )
-
-
 # The groups
 
 
@@ -365,7 +349,6 @@ COMMANDS: dict[str, Translation] = {
         "particles.NAME.insert (kind: file, pack)",
         "single, region, box; random: a packing if its particles overlap",
     ),
-    "delete_atoms": Translation(delete_atoms, "particles", "region, before the first run"),
     "minimize": relaxation("minimize", "a stage with damping: {cundall: 0.5}"),
     "displace_atoms": impossible("displacement of particles", "other positions in the table"),
 }

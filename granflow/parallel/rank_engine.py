@@ -104,6 +104,7 @@ class RankEngine(Engine):
     set_stage = _on_all_ranks("set_stage")
     set_gravity = _on_all_ranks("set_gravity")
     apply_settings = _on_all_ranks("apply_settings")
+    delete = _on_all_ranks("delete")
     refresh = _on_all_ranks("refresh")
     snapshot = _on_all_ranks("snapshot")
     observe = _on_all_ranks("observe")

@@ -107,10 +107,15 @@ class RunState:
             self.is_unobserved = True
 
     def begin_stage(self, stage: Stage) -> None:
-        """Begin a stage: place its walls, insert due particles, set their properties, compute the forces."""
+        """Begin a stage: delete particles, place its walls, insert due particles, set their properties.
+
+        The forces are known afterwards.
+        """
         self.prepare()
         progress = self.progress
         engine = self.engine
+        if stage.delete:
+            _warn_of_no_particles(stage, "delete", engine.delete(stage.name), engine)
         progress.begin(stage, engine.time)
         engine.set_stage(stage.name)
         engine.set_gravity(engine.plan.scene.gravity_course(progress.stage_times))
@@ -118,7 +123,7 @@ class RunState:
         self.insertion.insert_due(engine)
         engine.refresh()
         if stage.set_:
-            _warn_of_no_particles(stage, engine.apply_settings(stage.name), engine)
+            _warn_of_no_particles(stage, "set", engine.apply_settings(stage.name), engine)
             engine.refresh()
         progress.servos.begin(engine, stage.longest)
         progress.conditions.begin(stage, engine.time)
@@ -193,18 +198,19 @@ class RunState:
             engine.refresh()
 
 
-def _warn_of_no_particles(stage: Stage, counts: Sequence[int], engine: Engine) -> None:
-    """Warn of settings of a stage that apply to no particle, with the number of particles of each."""
+def _warn_of_no_particles(stage: Stage, key: str, counts: Sequence[int], engine: Engine) -> None:
+    """Warn of entries of a key of a stage that apply to no particle, with the number of particles of each."""
     scene = engine.plan.scene
     number = [each.name for each in engine.plan.stages].index(stage.name)
     for index, count in enumerate(counts):
         if not count:
-            place = scene.locate("stages", number, "set", index)
+            place = scene.locate("stages", number, key, index)
             logging.getLogger("granflow").warning(
-                "stage %s (%s): none of the %d particles is in the groups and the region of the setting.",
+                "stage %s (%s): none of the %d particles is in the groups and the region of the %s.",
                 stage.name,
                 place,
                 engine.particle_count,
+                {"set": "setting", "delete": "deletion"}[key],
             )
 
 

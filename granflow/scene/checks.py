@@ -888,6 +888,16 @@ def stage_settings(parts: PartialScene) -> Iterator[Fault]:
             yield from unknown_names(path, setting.groups, parts.names("particles"), "group of particles")
 
 
+def stage_deletions(parts: PartialScene) -> Iterator[Fault]:
+    """Deletions of stages name existing groups; the first stage has none."""
+    for number, stage in enumerate(parts.scene.stages):
+        if stage.delete and not number:
+            yield Fault(("stages", 0, "delete"), "the first stage begins without particles; remove delete")
+        for index, deletion in enumerate(stage.delete):
+            path: KeyPath = ("stages", number, "delete", index, "groups")
+            yield from unknown_names(path, deletion.groups, parts.names("particles"), "group of particles")
+
+
 def condition_columns(parts: PartialScene) -> Iterator[Fault]:
     """Conditions of stages must refer to columns of the time series, not to results of the whole run."""
     for number, stage in enumerate(parts.scene.stages):
@@ -974,6 +984,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("output", "expect", "stages"), expected_metrics),
     (("output", "expect", "stages", "domain"), wall_forces),
     (("stages",), stage_settings),
+    (("stages",), stage_deletions),
     (("stages", "walls"), condition_columns),
 )
 """Sections that must be complete, and the check that needs them."""

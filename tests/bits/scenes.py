@@ -133,7 +133,7 @@ VISCOUS_BRIDGES = {"law": "capillary", **VISCOUS}
 
 def wet_clumps() -> Scene:
     """Rods, tetrahedra and spheres with viscous bridges of fixed volume fall into a box that is periodic along x;
-    rain of clumps; damping; gravity jumps to a table."""
+    rain of clumps; damping; gravity jumps to a table, and random particles that touch the floor are deleted."""
     rng = np.random.default_rng(8)
     sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
     velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
@@ -150,11 +150,14 @@ def wet_clumps() -> Scene:
     walls = {name: wall for name, wall in box(0.055).items() if not name.endswith("x")}
     domain = {"min": [0.0, -0.01, -0.01], "max": [0.055, 0.065, 0.065], "periodic": ["x"], "on_exit": "error"}
     tilted = {"times": [0.0, 0.01], "vectors": [[0.0, 30.0, -95.0], [40.0, 0.0, -90.0]]}
+    at_floor = {"half_space": {"point": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, -1.0]}}
+    deletions = [{"region": at_floor, "part": "any", "fraction": 0.6}, {"groups": ["balls"], "fraction": 0.2}]
+    tilt = {"name": "tilted", "duration": 0.006, "gravity": tilted, "delete": deletions}
     return build_scene(
         {"rods": rods, "others": others, "balls": balls, "rain": rain}, walls, contact=contact, domain=domain,
         pair={"friction": 0.4, "restitution": 0.4, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
         gravity=[0.0, 0.0, -100.0], numerics={"chunk_size": 32, "max_overlap": 0.2},
-        stages=[{"name": "fall", "duration": 0.006}, {"name": "tilted", "duration": 0.006, "gravity": tilted}],
+        stages=[{"name": "fall", "duration": 0.006}, tilt],
         run={"velocity_max": 4.0, "time_step": 2e-6}, damping={"cundall": 0.1, "drag": 2.0},
         output={"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.001, "keep": 100}},
     )  # fmt: skip
@@ -275,7 +278,7 @@ QUICK = {
             "gravity_work",
         ),
     ),
-    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count", "gravity_work", "damping_dissipation")),
+    "clumps": Row(wet_clumps, ("rotational_energy", "contact_count", "gravity_work", "deleted_count")),
     "films": Row(sheared_films, ("boundary_work", "liquid_bridge_volume"), disturb, on_ranks=False),
     "heat": Row(
         conducting,

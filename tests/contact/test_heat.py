@@ -7,7 +7,7 @@ import pytest
 from clumps import clump_group
 from scene_builders import SOFT, box, build_scene, moving_lattice
 
-from granflow import Scene, Simulation, StageSetting
+from granflow import Scene, Simulation
 from granflow.contact.heat.conduction import Conduction
 from granflow.contact.material import PairMaterial, modulus_eff
 from granflow.engine.totals import ended_contacts_dissipation
@@ -438,22 +438,6 @@ def test_a_setting_without_particles_is_a_warning(caplog):
         "stage first (stages.0.set): none of the 14 particles is in the groups and the region of the setting"
         in caplog.text
     )
-
-
-POINTS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.6, 0.0], [0.0, 0.0, 1.01], [-0.1, 0.0, 0.0]])
-REGIONS = [
-    ({"box": {"min": [0, 0, 0], "max": [1, 1, 1]}}, [True, True, True, False, False]),
-    ({"half_space": {"point": [0, 0, 0], "normal": [-2, 0, 0]}}, [True, False, False, True, True]),
-    ({"cylinder": {"from": [0, 0, 0], "to": [0, 0, 2], "radius": 0.8}}, [True, False, False, True, True]),
-    ({"cylinder": {"from": [0, 0, 0], "to": [1, 0, 0], "radius": 0.5}}, [True, True, False, False, False]),
-    ({"sphere": {"center": [0, 0, 0], "radius": 1}}, [True, True, True, False, True]),
-]
-
-
-@pytest.mark.parametrize(("region", "inside"), REGIONS)
-def test_regions_of_settings_contain_their_surface(region, inside):
-    setting = StageSetting(temperature=300.0, region=region)
-    assert setting.region.contains(POINTS).tolist() == inside
 
 
 def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():

@@ -323,6 +323,11 @@ def test_every_line_has_a_remark(tmp_path):
         ("fix h all heat/gran/radiation\nrun 10", "radiation", "radiation between particles; nearest"),
         ("fix h all wonder 1\nrun 10", "wonder", "fix wonder is not known"),
         ("marvel 1\nrun 10", "marvel", "the command marvel is not known"),
+        (
+            "variable n equal atoms\nfix g all gravity v_n vector 0 0 1\nrun 10",
+            "v_n",
+            "gravity that follows the simulation",
+        ),
         ("compute c all rainbow\nrun 10", "rainbow", "compute rainbow"),
         ("shell python x\nrun 10", "shell", "shell runs another program"),
         ("run 10\nclear", "clear", "a second simulation"),
@@ -344,6 +349,12 @@ def test_not_possible(tmp_path, end, part, sentence):
     ("old", "new", "message"),
     [
         ("timestep 1e-5", "timestep fast", "in.deck:14: the time step is fast, which is not a number"),
+        (
+            "timestep 1e-5",
+            "timestep v_dt",
+            "the time step is v_dt, but it cannot change during a run; give ${dt}.",
+        ),
+        ("gravity 9.81", "gravity v_g", "in.deck:15: there is no variable g; define it before this line."),
         ("timestep 1e-5", "timestep -1", "in.deck:14: the time step is -1; give a time above 0"),
         ("5e6 1e7", "5e6", "youngsModulus has no number for type 2"),
         ("0.45 0.3", "0.45 1.3", "poissonsRatio has the number 1.3; give one from 0 to 0.5"),
@@ -615,6 +626,19 @@ def test_gravity_that_changes_is_that_of_a_stage(tmp_path):
     ]
 
 
+def test_gravity_of_variables_is_a_table(tmp_path):
+    """The box tilts by 30 degrees in 0.01 s; the second run has gravity of a constant variable."""
+    before = "variable t equal 30*elapsed*dt/0.01\nvariable m equal 9.81\nfix g all gravity v_m chute v_t\n"
+    after = "\nfix g all gravity v_m vector 0 0 -1\nrun 1000"
+    _, scene = imported(tmp_path, liggghts(end=f"{before}run 1000{after}"))
+    times, vectors = (np.array(scene["gravity"][name]) for name in ("times", "vectors"))
+    assert (times[0], times[-1]) == (0.0, 0.01)
+    angle = np.radians(3000.0 * times)
+    assert vectors == pytest.approx(9.81 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1))
+    assert scene["stages"][1]["gravity"] == [0, 0, -9.81]
+    gf.Scene.from_dict(scene)
+
+
 def test_gravity_of_two_fixes_is_their_sum(tmp_path):
     """Both codes add the forces; a keyword behind the direction is refused."""
     text = (
@@ -624,6 +648,53 @@ def test_gravity_of_two_fixes_is_their_sum(tmp_path):
     assert scene["gravity"] == [5, 0, -9.81]
     assert scene["stages"][1]["gravity"] == [5, 1, 0]
     assert remarks(found, "disable")[0][0] == "not possible"
+
+
+ABOVE = {"half_space": {"point": [0, 0, "50 mm"], "normal": [0, 0, 1]}}
+RADIUS = "compute 1 all property/atom radius\nvariable up atom {}\ngroup g dynamic all var up every {}\n"
+
+
+@pytest.mark.parametrize(
+    ("before", "command", "expected"),
+    [
+        ("region r sphere 0 0 0.1 0.02\n", "region r", [{"region": {"sphere": {"center": [0, 0, "100 mm"], "radius": "20 mm"}}}]),
+        ("region r block INF INF INF INF 0.05 INF\n", "porosity r 0.3 7", [{"region": ABOVE, "fraction": 0.3}]),
+        ("", "group all", [{"groups": ["ins_1", "ins_2"]}]),
+        (RADIUS.format("z>0.05", 100), "group g", [{"region": ABOVE}]),
+        (RADIUS.format('"z + c_1 > 0.5*0.1"', 50), "group g", [{"region": ABOVE, "part": "any"}]),
+        (RADIUS.format('"(2*c_1-0.1 <= 2*(z-2*c_1))"', 1), "group g", None),
+        (RADIUS.format('"c_1+0.05 <= z"', 1), "group g", [{"region": ABOVE, "part": "all"}]),
+        (RADIUS.format("vz>0", 100), "group g", None),
+        (RADIUS.format("z*z>0.05", 100), "group g", None),
+        (RADIUS.format("z>0.05", 1000), "group g", []),
+    ],
+)  # fmt: skip
+def test_deletion_between_runs(tmp_path, before, command, expected):
+    """A dynamic group is evaluated at multiples of `every` and at the start of a run; at the step 0 it is empty."""
+    found, scene = imported(tmp_path, liggghts(end=f"{before}run 100\ndelete_atoms {command}\nrun 100"))
+    (_, remark) = remarks(found, "delete_atoms")[-1]
+    if expected is None:
+        assert remark.startswith("deletion of") or "the condition" in remark
+        assert not found.report.is_complete
+    elif not expected:
+        assert "last at the step 0, at which it has no particles" in remark and "stages" not in scene
+    else:
+        assert scene["stages"][1]["delete"] == expected
+        assert len(gf.Scene.from_dict(yaml.safe_load(found.text)).stages[1].delete) == 1
+
+
+def test_deletion_before_the_first_run(tmp_path):
+    """Of three atoms at 0, 3 and 5 mm and one far away, the overlap of 4 mm deletes the first and keeps one of the
+    others; a group of a region deletes the one far away."""
+    atoms = "".join(f"create_atoms 1 single {x} 0.05 0.1\n" for x in (0.02, 0.023, 0.025, 0.08))
+    text = LAMMPS.format(model="pair_style gran/hooke/history 1e4 NULL 10 NULL 0.5 1\npair_coeff * *")
+    start = (
+        f"{atoms}set group all diameter 0.002\nset group all density 2500\nregion r block 0.07 0.1 INF INF INF INF\n"
+        "group far region r\ndelete_atoms group far\ndelete_atoms overlap 0.004 all all\nrun 100"
+    )
+    found, _ = imported(tmp_path, re.sub("fix p all pour.*\n", "", text).replace("run 100", start))
+    rows = next(iter(found.files.values())).decode().splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == ["0.025"]
 
 
 def test_read_restart_is_refused_with_advice(tmp_path):

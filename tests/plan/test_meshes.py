@@ -72,6 +72,15 @@ def test_binary_stl_is_read_with_any_header(tmp_path):
         assert (mesh.triangle_count, len(mesh.points)) == (12, 8)
 
 
+def test_text_stl_with_comments(tmp_path):
+    points, corners = cube()
+    write(tmp_path / "cube.stl", points, corners)
+    text = (tmp_path / "cube.stl").read_text()
+    assert text.startswith("solid")
+    (tmp_path / "cube.stl").write_text(f"# part 7\n; mm\n\n{text}\n// end\n")
+    assert mesh_of(read_triangles(tmp_path / "cube.stl")).triangle_count == 12
+
+
 def test_meshes_are_scaled_then_rotated_then_translated(tmp_path):
     """A quarter turn about z takes (x, y) to (-y, x), one about x then takes (y, z) to (-z, y)."""
     points, corners = cube()

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from granflow.scene.blocks.deletions import StageDeletion
 from granflow.scene.blocks.gravity import Gravity
 from granflow.scene.blocks.settings import StageSetting
 from granflow.schema import quantities as q
@@ -56,8 +57,8 @@ class StageCondition(Model):
 class Stage(Model):
     """A part of the run that ends after a duration, on a quantity, or when the particles are at rest.
 
-    Walls and motions may be limited to stages. Gravity can change, and particles can take other values of
-    their properties, at its start.
+    Walls and motions may be limited to stages. At its start, gravity can change, and particles can be deleted
+    or take other values of their properties.
 
     >>> gf.Stage(name="settle", kinetic_energy_below="1 nJ", max_duration="2 s").max_duration
     2.0
@@ -88,6 +89,14 @@ class Stage(Model):
         None, description="with kinetic_energy_below or until: longest duration [s]"
     )
 
+    delete: Annotated[tuple[StageDeletion, ...], ListOf(one=True)] = Field(
+        (),
+        description=(
+            "particles that are deleted at the start of the stage, before its walls appear, such as {region: "
+            "{half_space: {point: [0, 0, 10 cm], normal: [0, 0, 1]}}}: one deletion, or a list"
+        ),
+        examples=[{"groups": ["beads"]}],
+    )
     set_: Annotated[tuple[StageSetting, ...], ListOf(one=True)] = Field(
         (),
         alias="set",
