@@ -171,6 +171,7 @@ def least_restitution(k: Number, mass: Number, largest: Number, time_step: Numbe
     return np.sqrt(1.25 * k * np.sqrt(largest) / mass) * time_step / angle
 
 
+@cache
 def damping_ratio_for(e: float) -> float:
     """Damping ratio of a spring-dashpot without attraction for restitution e (Schwager & Poeschel 2007).
 

@@ -15,7 +15,7 @@ from functools import partial
 from itertools import product
 from math import log, pi
 from types import SimpleNamespace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -564,16 +564,27 @@ def _consequence(scene: Scene, overlap: float) -> str:
 
 
 def _stiffer(plan: Plan, found: Iterable[tuple[float, PairCase]], overlap: Overlap, worst: PairCase) -> str:
-    """The instruction that reduces the overlaps of all pairs to the limit."""
+    """The instruction that reduces the overlaps of all pairs to the limit.
+
+    The largest overlap of two materials usually needs the largest factor; for all smaller ones it is only
+    verified.
+    """
     limit = plan.scene.numerics.intended_overlap
+    factors: dict[tuple[str, str], float] = {}
+    for size, pair in sorted(found, key=lambda each: -each[0]):
+        if size <= limit:
+            break
+        known = factors.get(pair.materials)
+        if known is not None and overlap(pair.stiffer(known)) <= limit:
+            continue
+        factor = modulus_factor(pair, overlap, limit)
+        if factor is None:
+            return without_modulus(worst, overlap)
+        factors[pair.materials] = max(factor, known or 1.0)
     moduli: dict[str, float] = {}
-    for size, pair in found:
-        if size > limit:
-            factor = modulus_factor(pair, overlap, limit)
-            if factor is None:
-                return without_modulus(worst, overlap)
-            for name, value in required_moduli(plan.scene.materials, pair.materials, factor).items():
-                moduli[name] = max(moduli.get(name, 0.0), value)
+    for materials, factor in factors.items():
+        for name, value in required_moduli(plan.scene.materials, materials, factor).items():
+            moduli[name] = max(moduli.get(name, 0.0), value)
     return modulus_text(moduli)
 
 
@@ -589,8 +600,15 @@ def overlap_forecasts(plan: Plan, velocity: ImpactVelocity) -> Iterator[Forecast
     weights = {pair.name: weight for pair, weight in supported}  # also of pairs with another modulus
     on_small = [pair for pair, _weight in supported]
 
+    known: dict[tuple[Any, ...], float] = {}
+
     def impact(pair: PairCase) -> float:
-        return impact_overlap(laws, pair, velocity.value, plan.scene.numerics.intended_overlap)
+        """Groups often differ in their name alone, and the integration of an impact takes milliseconds."""
+        key = (*pair.materials, pair.pair.modulus_eff, pair.radius_eff, pair.mass_eff, pair.overlap_radius)
+        if key not in known:
+            enough = plan.scene.numerics.intended_overlap
+            known[key] = impact_overlap(laws, pair, velocity.value, enough)
+        return known[key]
 
     def unloaded(pair: PairCase) -> float:
         return static_overlap(laws, pair, 0.0)

@@ -12,6 +12,7 @@ from granflow import load_scene
 from granflow.cli.run import scene_paths
 from granflow.errors import SceneError
 from granflow.particles.insertion import initial_particles
+from granflow.plan import overlaps
 from granflow.plan.build import plan_for
 from granflow.plan.overlaps import (
     impact_overlap,
@@ -74,6 +75,24 @@ def test_overlap_of_an_impact_follows_from_its_energy():
     )
     assert warnings_of(followed) == []
     assert warnings_of(rubber_ball(numerics={"max_overlap": 0.21})) == []
+
+
+def test_groups_that_differ_in_their_names_alone_are_forecast_once(monkeypatch):
+    """The integration of an impact takes milliseconds, and 24 groups have 300 pairs."""
+    cases = []
+
+    def counted(laws, pair, velocity, enough):
+        cases.append((pair.radius_eff, pair.mass_eff, pair.pair.modulus_eff))
+        return impact_overlap(laws, pair, velocity, enough)
+
+    monkeypatch.setattr(overlaps, "impact_overlap", counted)
+    balls = {f"ball_{k}": particle_group([[0.0, 0.05 * k, 0.1]], material="rubber") for k in range(4)}
+    run = {"duration": 0.1, "velocity_max": 2.5}
+    scene = build_scene(
+        balls, {"floor": FLOOR}, {"restitution": 0.9}, normal="hertz", materials=RUBBER, run=run
+    )
+    assert len(warnings_of(scene)) == 1
+    assert 2 < len(cases) == len(set(cases))
 
 
 def test_only_the_softer_material_of_a_pair_changes():
