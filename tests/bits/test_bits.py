@@ -125,10 +125,10 @@ def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
 
 
 OTHER_KERNELS = {
-    "gpu": ["walls", "clumps"],
+    "gpu": ["clumps"],
     "long": ["heat"],
     "forked": ["walls"],
-    "ranks": ["heat", "clumps"],
+    "ranks": ["heat"],
 }
 """Scenes of the usual test run by kind of execution that compiles other kernels."""
 

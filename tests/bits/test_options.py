@@ -1,6 +1,7 @@
 """What a scene does not need is left out without a change of the bits of the rest."""
 
 import numpy as np
+import pytest
 from scene_builders import box, build_scene, particle_group, plane, run_to_end
 
 WALLS = box(0.05) | {"far": plane([0, 0, -0.5], [0, 0, 1], "steel")}
@@ -30,6 +31,7 @@ def test_friction_coefficient_0_is_bit_identical_to_disabled_friction(taichi_f64
     assert not idle.particles["angular_velocity"].any()
 
 
+@pytest.mark.slow
 def test_wear_does_not_change_the_motion(taichi_f64):
     """Also without friction and rotation, which kernels compile differently."""
     wear = {"law": "finnie", "coefficient": 0.1, "hardness": "1 GPa"}

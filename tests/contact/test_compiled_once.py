@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, get_args, get_origin
 
 import numpy as np
+import pytest
 from contact.cases import kernel_for
 from contact.surface_paths import surface_kernel
 from contact.test_registry import RECORDS
@@ -93,6 +94,7 @@ def test_the_numbers_of_a_law_from_outside_are_part_of_its_structure():
     assert Outside("constant", 0.5).structure != Outside("constant", 0.4).structure
 
 
+@pytest.mark.slow
 def test_models_with_other_numbers_add_no_compiled_kernel(tmp_path):
     in_subprocess(compile_models, 0.3, str(tmp_path))
     compiled = {path.name for path in tmp_path.glob(KERNELS)}

@@ -156,7 +156,7 @@ def test_contact_with_a_weak_tension_lasts_until_the_surfaces_separate(taichi_f6
     assert found["duration"] == pytest.approx(found["duration_theory"], rel=2.5e-3)
 
 
-@pytest.mark.parametrize("restitution", [1.0, 0.8])
+@pytest.mark.parametrize("restitution", [pytest.param(1.0, marks=pytest.mark.slow), 0.8])
 def test_simulated_collision_agrees_with_the_theory_of_the_model(taichi_f64, restitution):
     """By `granflow collide`, in the engine: with settings of contact model and pair."""
     found = collide(

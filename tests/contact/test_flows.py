@@ -300,6 +300,7 @@ def test_an_equation_that_is_not_valid_is_refused(changes, message):
         register_particle_equation(type("Other", (Potential,), changes)())
 
 
+@pytest.mark.slow
 def test_charge_is_exchanged_and_conserved_in_mixed_precision():
     """The last test of this file, because another precision restarts Taichi, which loses all compiled kernels."""
     check_exchange(16, "mixed")

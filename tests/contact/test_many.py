@@ -49,7 +49,7 @@ def bouncing_box(law, cohesion, chunk_size):
     ("law", "cohesion"),
     [
         ("luding", "sjkr"),
-        ("eepa", "none"),
+        pytest.param("eepa", "none", marks=pytest.mark.slow),
         pytest.param("thornton", "sjkr", marks=pytest.mark.slow),
         pytest.param("walton_braun", "sjkr", marks=pytest.mark.slow),
         pytest.param("luding, no tension", "none", marks=pytest.mark.slow),

@@ -5,7 +5,7 @@ import pytest
 from scene_builders import build_scene, particle_group, plane, run_to_end
 
 
-@pytest.mark.parametrize("chunk_size", [1, 512])
+@pytest.mark.parametrize("chunk_size", [pytest.param(1, marks=pytest.mark.slow), 512])
 def test_statistics_of_pairs_and_of_a_chain_between_walls(taichi_f64, chunk_size):
     """Overlaps are relative to the smaller radius, also if it is that of the second particle; walls are no
     part of the coordination number. Contacts are computed twice (chunks of one particle) or once."""

@@ -59,7 +59,8 @@ def results(name, as_on_gpu, free_memory=None, largest_dispatch=dispatch.LARGEST
     return digest, json.dumps(dict(totals), sort_keys=True), counts
 
 
-@pytest.mark.parametrize("over_host", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("over_host", [False, True])
 def test_neighbor_lists_grow_without_changing_a_bit(over_host):
     """On the device, with dispatches of 7 threads, and over the host.
 

@@ -174,7 +174,7 @@ def test_distant_particles_do_not_enlarge_the_cells(taichi_f64):
     simulation.free()
 
 
-@pytest.mark.parametrize("periodic", [[], ["x", "y", "z"]])
+@pytest.mark.parametrize("periodic", [pytest.param([], marks=pytest.mark.slow), ["x", "y", "z"]])
 def test_size_classes_find_all_candidate_pairs(taichi_f64, periodic):
     """Sizes 1 : 20 in four classes; pairs are owned, and listed twice across chunks, as with one class."""
     rng = np.random.default_rng(9)

@@ -101,7 +101,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    ["impact", "weight", *(pytest.param(each, marks=pytest.mark.slow) for each in ("servo", "cohesion"))],
+)
 def test_abort_names_its_cause_and_a_run_with_the_advised_modulus_passes(taichi_f64, case):
     build, modulus, cause = CASES[case]
     message = aborted(build(modulus))
@@ -114,6 +117,7 @@ def test_abort_names_its_cause_and_a_run_with_the_advised_modulus_passes(taichi_
     simulation.free()
 
 
+@pytest.mark.slow
 def test_contact_with_a_soft_spring_of_its_onset_advises_the_same_stiffness_for_all(taichi_f64):
     """With Eq. 19 at the planned velocity, the spring is 6.3 = (1/0.01)^(2/5) times as stiff as the
     softest."""

@@ -28,7 +28,7 @@ def domain(size, axes):
     return {"min": [0.0] * 3, "max": list(size), "periodic": list(axes), "on_exit": "error"}
 
 
-@pytest.mark.parametrize("axes", ["xyz", "xy"])
+@pytest.mark.parametrize("axes", ["xyz", pytest.param("xy", marks=pytest.mark.slow)])
 def test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images(taichi_f64, axes):
     """Compared with a search over all pairs; the grid has eight cells along x, three along y and two along
     z."""

@@ -36,6 +36,7 @@ def warned(scene, tmp_path, **options):
     return [each for each in warnings if "at the end of stage" in each]
 
 
+@pytest.mark.slow
 def test_servo_that_never_touches_the_bed_is_reported_once(taichi_f64, tmp_path, caplog):
     """The stage press ends before the lid arrives; the servo is not active in the stage release."""
     with caplog.at_level(logging.WARNING, "granflow"):

@@ -1,6 +1,7 @@
 """Snapshots and outputs do not change a run. In a sheared box: `test_lees_edwards`."""
 
 import numpy as np
+import pytest
 from resume.runs import complex_scene, files_of, last_state
 from scene_builders import box, build_scene, moving_lattice
 
@@ -32,6 +33,7 @@ def assert_equal(first, second):
     assert first.totals == second.totals
 
 
+@pytest.mark.slow
 def test_run_with_additional_snapshots_is_bit_identical(taichi_f64, tmp_path):
     scene = complex_scene(0.012)
     snapshots = []

@@ -56,7 +56,7 @@ def double_velocities_once(simulation, snapshot):
             field.from_numpy(2.0 * field.to_numpy())
 
 
-@pytest.mark.parametrize("energy", [False, True])
+@pytest.mark.parametrize("energy", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_injected_energy_causes_a_warning_and_a_valid_run_none(taichi_f64, energy):
     """Doubled velocities quadruple the kinetic energy: an error of 300 %, less the elastic energy."""
     assert not warnings_of(gas(energy, gravity=[0, 0, -9.81]))

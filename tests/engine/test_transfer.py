@@ -1,6 +1,7 @@
 """A run that continues on an engine with another plan."""
 
 import numpy as np
+import pytest
 from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane
 
@@ -17,6 +18,7 @@ def on_a_mesh(**walls):
     return build_scene({"ball": group}, walls={"hills": mesh, **walls}, **parts)
 
 
+@pytest.mark.slow
 def test_contacts_with_triangles_survive_another_wall(taichi_f64, tmp_path, monkeypatch):
     """The numbers of triangles follow those of the walls: with another wall they change, the histories do
     not."""

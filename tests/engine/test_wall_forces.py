@@ -83,7 +83,7 @@ def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
     assert np.abs(residual[1]).max() < snapshots[-1].step * EPS * scale * 0.06
 
 
-@pytest.mark.parametrize("restitution", [1.0, 0.6])
+@pytest.mark.parametrize("restitution", [pytest.param(1.0, marks=pytest.mark.slow), 0.6])
 def test_impulse_of_one_impact(taichi_f64, restitution):
     """J = m (1 + e) v with the measured e; no tangential impulse; the pressure is over the area of the
     disc."""

@@ -125,7 +125,7 @@ SOURCES = {
 
 
 def test_fuzzed_files_are_accepted_or_rejected_with_positions(tmp_path):
-    sources = (("changed scenes", 60), ("random trees and bytes", 30))
+    sources = (("changed scenes", 30), ("random trees and bytes", 10))
     *found, memory = in_subprocess(check_files, str(tmp_path), sources)
     for (name, count), (accepted, failures) in zip(sources, found, strict=True):
         examples = "\n".join(
@@ -133,7 +133,7 @@ def test_fuzzed_files_are_accepted_or_rejected_with_positions(tmp_path):
         )
         assert not failures, f"{name}: {len(failures)} of {count} inputs:\n{examples}"
         assert accepted < count
-    assert found[0][0] > 3, "some changes result in a valid scene"
+    assert found[0][0] > 1, "some changes result in a valid scene"
     assert memory < MEMORY
 
 

@@ -93,7 +93,9 @@ def test_verification_scenes_satisfy_their_expectations(name, tmp_path, taichi_f
     assert unsatisfied(SCENES / "verification" / f"{name}.yaml", tmp_path) == []
 
 
-@pytest.mark.parametrize("name", REDUCED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=pytest.mark.slow) if each == "drum" else each for each in REDUCED]
+)
 def test_reduced_scenes_satisfy_their_expectations(name, tmp_path, taichi_f64):
     assert unsatisfied(SCENES / f"{name}.yaml", tmp_path, REDUCED[name]) == []
 

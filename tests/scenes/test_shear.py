@@ -10,6 +10,7 @@ from scene_runner import run_shipped_scene
 from granflow.studies.yield_locus import ShearTest, YieldLocusEvaluation, shear_point
 
 
+@pytest.mark.slow
 def test_reduced_sheared_layer_satisfies_its_expectations(tmp_path, taichi_f64):
     small = (
         "particles.base.count=21",
