@@ -61,7 +61,7 @@ class PairMaterial:
     """Effective constants of a pair of materials, symmetric under exchange of the two.
 
     modulus_eff:        E [Pa], see `modulus_eff`
-    shear_modulus_eff:  G [Pa], see `shear_modulus_eff`
+    shear_modulus_eff:  G [Pa], see `shear_modulus_eff`, times `stiffness_factor` of the tangential model
     friction:           coefficient of sliding friction [-]
     properties:         keys of `pairs` that contact models declare, other than friction, in SI units
     materials:          the two materials, with the keys that contact models declare as attributes

@@ -707,7 +707,13 @@ class Contacts:
         count = 0
         for wall in self.walls:
             own = [each for each in self.sorts if each.type == wall.type]
-            if self.deck.code == "liggghts" and self.model and wall.model.key == self.model.key:
+            is_own = wall.model.normal.endswith("/stiffness")  # its restitution depends on the mass
+            if (
+                self.deck.code == "liggghts"
+                and self.model
+                and wall.model.key == self.model.key
+                and not is_own
+            ):
                 wall.material = own[0].name if own else f"type{wall.type}"
                 continue
             same = next(
@@ -778,19 +784,29 @@ class Contacts:
 
         4 G*/E* = 2 (1 - nu) / (2 - nu), so that nu = (2 - 2 r) / (2 - r) for the ratio r of the stiffnesses.
         """
-        kn, kt = self._stiffness("kn", model, i, j), self._stiffness("kt", model, i, j)
-        is_hertz = model.normal == "hertz/stiffness"
-        ratio = kt / kn / (1.5 if is_hertz else 1.0)
-        limited = min(max(ratio, 2.0 / 3.0), 1.3)
+        limited = min(max(self._ratio_of_stiffnesses(model, i, j), 2.0 / 3.0), 1.3)
         poisson = round((2.0 - 2.0 * limited) / (2.0 - limited), 12) + 0.0
-        if model.tangential not in ("none", "no_history") and abs(limited / ratio - 1.0) > 1e-6 and is_hertz:
-            model.entry.approximated(
-                f"the tangential stiffness is {limited / ratio:.3g} times that of the script: a Poisson "
-                "ratio up "
-                "to 0.5 permits no less"
-            )
-        modulus_eff = 0.75 * kn if is_hertz else 5e6
+        is_hertz = model.normal == "hertz/stiffness"
+        modulus_eff = 0.75 * self._stiffness("kn", model, i, j) if is_hertz else 5e6
         return 2.0 * (1.0 - poisson**2) * modulus_eff, poisson
+
+    def _ratio_of_stiffnesses(self, model: Model, i: int, j: int) -> float:
+        """Kt / Kn of a contact, the second of the loading: kt / kn, for Hertz springs over 1.5."""
+        ratio = self._stiffness("kt", model, i, j) / self._stiffness("kn", model, i, j)
+        return ratio / (1.5 if model.normal == "hertz/stiffness" else 1.0)
+
+    def _stiffness_factor(self, model: Model, i: int) -> float:
+        """Tangential stiffness of the script over the no-slip one of the moduli, for contacts of a type."""
+        if model.tangential in ("none", "no_history"):
+            return 1.0
+        if "E" in model.numbers:
+            young, poisson = model.numbers["E"], model.numbers["nu"]
+            no_slip = 2.0 * young / ((2.0 - poisson) * (1.0 + poisson))
+            return model.numbers.get("kt", no_slip) / no_slip
+        if model.normal != "hertz/stiffness":
+            return 1.0
+        poisson = self._moduli_of(model, i, i)[1]
+        return self._ratio_of_stiffnesses(model, i, i) * (2.0 - poisson) / (2.0 - 2.0 * poisson)
 
     def _stiffness(self, name: str, model: Model, i: int, j: int) -> float:
         """kn or kt of a model with numbers; those of hertz/stiffness are pressures [Pa]."""
@@ -935,8 +951,16 @@ class Contacts:
         if main.normal == "hooke/hysteresis":
             keys = {}
             main.entry.approximated("the tangential spring has no dashpot with luding")
-        if "kt" in main.numbers and name.startswith("mindlin"):
-            main.entry.approximated("the tangential stiffness is the no-slip one of the moduli")
+        factor = self._stiffness_factor(main, first.type)
+        if abs(factor - 1.0) > 1e-6:
+            keys["stiffness_factor"] = float(f"{factor:.9g}")
+        for each in self.sorts:
+            ratio = factor / self._stiffness_factor(self.of(each.type, each.type), each.type)
+            if abs(ratio - 1.0) > 1e-3:
+                self.of(each.type, each.type).entry.approximated(
+                    f"the tangential stiffness of {each.name} is {ratio:.3g} times that of the script: its "
+                    "ratio to the normal one is that of the first type"
+                )
         return {"law": "mindlin", **kept, **keys} if kept or keys else "mindlin"
 
     def _tangential_damping(self, main: Model) -> float:
@@ -1269,7 +1293,11 @@ MODELS: tuple[tuple[str, str, str], ...] = (
         "normal: {law: linear, stiffness: {value: KN}}",
         "one KN for all pairs",
     ),
-    ("model hertz/stiffness, gran/hertz/history", "normal: kuwabara_kono", "moduli from Kn and Kt"),
+    (
+        "model hertz/stiffness, gran/hertz/history",
+        "normal: kuwabara_kono",
+        "moduli and stiffness_factor from Kn, Kt",
+    ),
     ("model hooke/hysteresis", "normal: luding", "the restitution accounts for the dashpot"),
     ("granular: hooke", "normal: linear", ""),
     ("granular: hertz, hertz/material", "normal: hertz", "restitution of its damping model"),

@@ -113,16 +113,17 @@ def _pair_material(
     """
     surface = [model for slot, model in models.items() if SLOTS[slot].on_surface]
     properties = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_properties()}
+    tangential = scene.contact.options("tangential")
     return PairMaterial(
         modulus_eff(a, b),
-        shear_modulus_eff(a, b),
+        getattr(tangential, "stiffness_factor", 1.0) * shear_modulus_eff(a, b),
         pair.restitution_of(a, b),
         pair.friction,
         yield_strength(a, b),
         properties,
         (a, b),
         has_tangential_force=any(model.acts([pair]) for model in surface),
-        tangential_stiffness=getattr(scene.contact.options("tangential"), "stiffness", None),
+        tangential_stiffness=getattr(tangential, "stiffness", None),
     )
 
 

@@ -192,6 +192,10 @@ def mass(diameter=0.004, density=2500):
         # Mindlin's ratio kt/kn = 3 (1 - nu) / (2 - nu), kn = 4/3 E*.
         (f"pair_style gran/hertz/history 1e6 {1e6 * 3 * 0.75 / 1.75} 10 NULL 0.5 1", "materials.type1.poisson_ratio", 0.25),
         ("pair_style gran/hertz/history 1e6 1e6 10 NULL 0.5 1", "contact.normal.law", "kuwabara_kono"),
+        # Of the Poisson ratio 0.5, kt/kn is 1; of 0.25 it is 9/7, and 8 G* = 2 E / ((2 - nu) (1 + nu)).
+        ("pair_style gran/hertz/history 1e6 NULL 10 NULL 0.5 1", "contact.tangential.stiffness_factor", 0.285714286),
+        ("pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.25 tangential mindlin 4.375e6 1.0 0.5 damping tsuji",
+         "contact.tangential.stiffness_factor", 0.478515625),
         ("pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.25 tangential mindlin NULL 1.0 0.5 damping tsuji",
          "materials.type1.young_modulus", "10 MPa"),
         ("pair_style granular\npair_coeff * * jkr 1e7 0.9 0.25 0.05 tangential mindlin_rescale NULL 0 0.5 damping tsuji",
@@ -207,6 +211,23 @@ def test_lammps(tmp_path, model, path, expected):
         assert path.rpartition(".")[2] not in at(scene, path.rpartition(".")[0])
     else:
         assert at(scene, path) == expected
+
+
+def test_restitution_at_walls_of_models_of_stiffness(tmp_path):
+    """A dashpot gamma m* has the damping ratio zeta = gamma sqrt(m*) / (2 sqrt(k)): at a wall m* is twice as large,
+    and e = exp(-pi zeta / sqrt(1 - zeta^2))."""
+    numbers = {"kn": 1e4, "kt": 5e3, "gamman": 300, "gammat": 0}
+    properties = "\n".join(
+        f"fix q{name} all property/global {name} peratomtypepair 2 {value} {value} {value} {value}"
+        for name, value in numbers.items()
+    )
+    _, scene = imported(
+        tmp_path, liggghts(properties=properties, model="model hooke/stiffness tangential history")
+    )
+    for pair, effective in (("type1-type1", mass() / 2), ("type1-wall", mass())):
+        zeta = 300 * sqrt(effective) / (2 * sqrt(1e4))
+        expected = exp(-pi * zeta / sqrt(1 - zeta**2))
+        assert scene["pairs"][pair]["restitution"] == pytest.approx(expected, abs=1e-5)
 
 
 def test_mixed_coefficients_of_granular(tmp_path):

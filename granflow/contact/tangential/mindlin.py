@@ -38,6 +38,14 @@ DampingFactor = Annotated[
     Field(description="tangential dashpot over the dashpot of the normal model; 0: none", examples=["1"]),
 ]
 """Option `damping` of the tangential models: eta_t / eta_n, x_gamma_t of LAMMPS."""
+StiffnessFactor = Annotated[
+    float,
+    Number(noun="a factor", above=0),
+    Field(
+        description="tangential stiffness over the no-slip stiffness of the moduli",
+        examples=["0.286"],
+    ),
+]
 DashpotRule = Annotated[
     Literal["limited", "sticking"],
     Field(
@@ -242,6 +250,7 @@ class MindlinOptions(Options):
         description="rescaled: the force decreases with the contact radius during unloading; kept: it does "
         "not",
     )
+    stiffness_factor: StiffnessFactor = 1.0
     damping: DampingFactor = 0.0
     dashpot: DashpotRule = "limited"
 
