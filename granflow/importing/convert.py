@@ -20,6 +20,7 @@ from granflow.importing import (
     start,
 )
 from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
+from granflow.importing.groups import group_named
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
 from granflow.importing.scene_text import Draft
@@ -136,6 +137,8 @@ def fix(deck: Deck, command: Command, entry: Entry, fixes: Mapping[str, Translat
     """fix ID GROUP STYLE ...; one of the same name replaces the earlier one."""
     words = Words(deck, command, command.words)
     name, group, style = words.word("the name of the fix"), words.word("a group"), words.word("a style")
+    if group != "all":
+        group_named(deck, command, group)
     earlier = deck.fixes.pop(name, None)
     if earlier is not None:
         earlier.end = deck.time

@@ -303,7 +303,7 @@ class Words:
         """The next word as a number in SI units. Raises DeckError."""
         return self.deck.si(self.plain(what), dimension)
 
-    def plain(self, what: str) -> float:
+    def plain(self, what: str, example: str = "0.5") -> float:
         """The next word as a number in the units of the script; INF is infinite."""
         word = self.word(what)
         if word.upper() == "INF" or word == "+INF":
@@ -311,7 +311,7 @@ class Words:
         try:
             found = float(word)
         except ValueError:
-            reason = f"{what} is {word}, which is not a number; give one, such as 0.5."
+            reason = f"{what} is {word}, which is not a number; give one, such as {example}."
             if word.startswith("v_"):
                 reason = f"{what} is {word}, but it cannot change during a run; give ${{{word[2:]}}}."
             raise DeckError(self.command, reason) from None
@@ -321,10 +321,27 @@ class Words:
 
     def whole(self, what: str) -> int:
         """The next word as a whole number."""
-        found = self.plain(what)
+        found = self.plain(what, "100")
         if found != int(found):
             raise DeckError(self.command, f"{what} is {found:g}; give a whole number.")
         return int(found)
+
+    def type(self) -> int:
+        """The next word as an atom type. Raises DeckError for one that create_box does not have."""
+        found = self.whole("the type")
+        if self.deck.box is not None and not 1 <= found <= self.deck.types:
+            few = "only the type 1" if self.deck.types == 1 else f"the types 1 to {self.deck.types}"
+            raise DeckError(self.command, f"the type is {found}, but the box is made for {few}.")
+        return found
+
+    def mesh(self) -> "Fix":
+        """The next word as the name of a fix mesh/surface. Raises DeckError."""
+        name = self.word("the name of a mesh")
+        meshes = {key: fix for key, fix in self.deck.fixes.items() if fix.style.startswith("mesh/surface")}
+        if name not in meshes:
+            known = ", ".join(meshes) or "none"
+            raise DeckError(self.command, f"there is no fix mesh/surface {name}. Meshes: {known}.")
+        return meshes[name]
 
     def vector(self, what: str, dimension: str = "number") -> Vector:
         """The next three words as a vector in SI units."""

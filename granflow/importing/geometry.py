@@ -201,7 +201,7 @@ def wall_gran(deck: Deck, fix: Fix) -> None:
     if style == "primitive":
         if words.word("type") != "type":
             raise DeckError(fix.entry.command, "the type of the wall is missing: primitive type N ...")
-        type = words.whole("the type")
+        type = words.type()
         style = words.word("the shape of the wall")
     if style not in PLANES + CYLINDERS:
         shapes = ", ".join(PLANES + CYLINDERS)
@@ -278,13 +278,20 @@ class MeshWalls:
 def _mesh_wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
     """... mesh n_meshes N meshes NAMES"""
     count = None
-    names: list[str] = []
+    meshes: list[Fix] = []
+    unknown = ""
     while words:
         key = words.word("a keyword")
         if key == "n_meshes":
             count = words.whole("the number of meshes")
         elif key == "meshes":
-            names = [words.word("the name of a mesh") for _ in range(count or 0)]
+            if count is None or len(words.words) - words.at < count:
+                number = "missing" if count is None else f"{count}, but fewer names follow"
+                raise DeckError(
+                    words.command,
+                    f"n_meshes is {number} (meshes {' '.join(words.rest)}): n_meshes N meshes NAME ...",
+                )
+            meshes = [words.mesh() for _ in range(count)]
         elif key in ("store_force", "store_force_contact", "store_force_contact_stress"):
             if words.flag(key):
                 fix.entry.approximated("output.contacts has the force of each contact with a wall")
@@ -292,17 +299,13 @@ def _mesh_wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
             model = replace(model, options={**model.options, key: words.flag(key)})
         else:
             fix.entry.impossible(f"the keyword {key} of a mesh wall")
+            unknown = f" before the unknown keyword {key}"
             words.skip()
-    if not names:
-        raise DeckError(words.command, "the meshes are missing: mesh n_meshes N meshes NAME ...")
-    found = []
-    for name in names:
-        mesh = deck.fixes.get(name)
-        if mesh is None or not mesh.style.startswith("mesh/surface"):
-            raise DeckError(fix.entry.command, f"there is no fix mesh/surface {name}.")
-        if isinstance(mesh.data, Mesh):
-            found.append((mesh, wall_contact(deck, model, mesh.data.type)))
-    fix.data = MeshWalls(found)
+    if not meshes:
+        raise DeckError(words.command, f"the meshes are missing{unknown}: mesh n_meshes N meshes NAME ...")
+    fix.data = MeshWalls(
+        [(mesh, wall_contact(deck, model, mesh.data.type)) for mesh in meshes if isinstance(mesh.data, Mesh)]
+    )
 
 
 def wall_gran_region(deck: Deck, fix: Fix) -> None:

@@ -73,7 +73,7 @@ def template_sphere(deck: Deck, fix: Fix) -> None:
     while words:
         key = words.word("a keyword")
         if key == "atom_type":
-            type = words.whole("the type")
+            type = words.type()
         elif key in ("density", "radius"):
             dimension = "density" if key == "density" else "length"
             style = words.word("constant")
@@ -165,7 +165,10 @@ def distribution(deck: Deck, fix: Fix) -> None:
         share = words.number(f"the share of {name}")
         found = deck.fixes.get(name)
         if found is None or not isinstance(found.data, Template):
-            raise DeckError(fix.entry.command, f"there is no particle template {name}.")
+            known = ", ".join(each.name for each in deck.fixes.values() if isinstance(each.data, Template))
+            raise DeckError(
+                fix.entry.command, f"there is no particle template {name}. Templates: {known or 'none'}."
+            )
         templates.append(found.data)
         shares.append(share)
     if words or not shares or sum(shares) <= 0.0:
@@ -218,10 +221,7 @@ def insertion(deck: Deck, fix: Fix) -> None:
         elif key == "region":
             given["region"] = region_of(deck, fix.entry.command, words.word("the name of a region"))
         elif key == "insertion_face":
-            name = words.word("the name of a mesh")
-            given["face"] = deck.fixes.get(name)
-            if given["face"] is None:
-                raise DeckError(fix.entry.command, f"there is no fix mesh/surface {name}.")
+            given["face"] = words.mesh()
         elif key in ("nparticles", "particles_in_region"):
             number = words.plain("the number of particles")
             given["count"] = None if number == inf else number
@@ -234,6 +234,11 @@ def insertion(deck: Deck, fix: Fix) -> None:
             given["mass_rate"] = words.number("the mass rate", "mass_flow")
         elif key == "volumefraction_region":
             given["fraction"] = words.number("the volume fraction")
+            if not 0.0 < given["fraction"] < 1.0:
+                raise DeckError(
+                    words.command,
+                    f"the volume fraction is {given['fraction']:g}; give one below 1, such as 0.3.",
+                )
         elif key == "insert_every":
             given["every"] = (
                 0 if words.next == "once" and words.word("once") else words.whole("a number of steps")

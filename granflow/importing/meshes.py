@@ -111,7 +111,7 @@ def mesh_surface(deck: Deck, fix: Fix) -> None:
         if key == "file":
             file = words.word("the file")
         elif key == "type":
-            type = words.whole("the type")
+            type = words.type()
         elif key == "scale":
             scale = words.number("the scale")
             if scale == 0.0:
@@ -363,10 +363,7 @@ def massflow(deck: Deck, fix: Fix) -> None:
     """fix ID group massflow/mesh mesh NAME vec_side X Y Z [count once|multiple] [delete_atoms yes|no] ..."""
     words = Words(deck, fix.entry.command, fix.words)
     words.word("the keyword mesh")
-    name = words.word("the name of a mesh")
-    mesh = deck.fixes.get(name)
-    if mesh is None or not isinstance(mesh.data, Mesh):
-        raise DeckError(words.command, f"there is no fix mesh/surface {name}.")
+    mesh = words.mesh()
     outside: Vector | None = None
     point: Vector | None = None
     deletes, once, inside_out = False, False, False

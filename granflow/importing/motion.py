@@ -62,9 +62,7 @@ def move_mesh(deck: Deck, fix: Fix) -> None:
     words = Words(deck, fix.entry.command, fix.words)
     if words.word("the keyword mesh") != "mesh":
         raise DeckError(fix.entry.command, "the mesh is missing: move/mesh mesh NAME STYLE ...")
-    name = words.word("the name of a mesh")
-    if name not in deck.fixes or not deck.fixes[name].style.startswith("mesh/surface"):
-        raise DeckError(fix.entry.command, f"there is no fix mesh/surface {name}.")
+    name = words.mesh().name
     style = words.word("the style of the motion")
     if style not in STYLES:
         fix.entry.impossible(f"the motion {style}", f"one of {', '.join(STYLES)}; or a table")

@@ -25,7 +25,7 @@ def template_multisphere(deck: Deck, fix: Fix) -> None:
     while words:
         key = words.word("a keyword")
         if key == "atom_type":
-            type = words.whole("the type")
+            type = words.type()
         elif key == "density":
             if words.word("constant") != "constant":
                 fix.entry.impossible("densities that differ", "density constant")

@@ -381,12 +381,24 @@ def lattice(deck: Deck, command: Command, entry: Entry) -> None:
     entry.not_needed("lengths are converted")
 
 
+GROUP_STYLES = (
+    *("region", "type", "id", "molecule", "variable", "include", "subtract", "union", "intersect"),
+    *("dynamic", "static", "clear", "empty", "delete"),
+)
+"""Styles of groups of both codes."""
+
+
 def group(deck: Deck, command: Command, entry: Entry) -> None:
     """group ID STYLE ..."""
     words = Words(deck, command, command.words)
     name = words.word("the name of the group")
     style = words.word("the style of the group")
-    deck.groups[name] = Group(name, style, words.rest, entry, deck.time)
+    if style not in GROUP_STYLES:
+        raise DeckError(command, f"groups have no style {style}; they have {', '.join(GROUP_STYLES)}.")
+    if style == "delete":
+        deck.groups.pop(name, None)
+    else:
+        deck.groups[name] = Group(name, style, words.rest, entry, deck.time)
     entry.not_needed("forces, walls and output of the scene apply to all particles")
 
 

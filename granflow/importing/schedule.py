@@ -46,6 +46,8 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
     """run N keywords"""
     words = Words(deck, command, command.words)
     steps = words.whole("the number of steps")
+    if steps < 0:
+        raise DeckError(command, f"the number of steps is {steps}; give one of at least 0, such as 1000.")
     while words:
         keyword = words.word("a keyword")
         if keyword == "upto":
@@ -212,6 +214,7 @@ def dump(deck: Deck, command: Command, entry: Entry) -> None:
     if style in ("image", "movie"):
         entry.not_needed("granflow render writes images and films of a run")
         return
+    words.word("the file")
     deck.own("dumps", list).append((steps, style, entry, words.rest))
 
 

@@ -68,7 +68,7 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
     while words:
         key = words.word("a keyword")
         if key == "type":
-            points.type[chosen] = words.whole("the type")
+            points.type[chosen] = words.type()
         elif key == "diameter":
             points.radius[chosen] = 0.5 * words.number("the diameter", "length")
         elif key == "density":

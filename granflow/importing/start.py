@@ -121,7 +121,7 @@ def _add_points(
 def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
     """create_atoms TYPE single X Y Z | random N SEED REGION | region ID | box [units box|lattice]"""
     words = Words(deck, command, command.words)
-    type = words.whole("the type")
+    type = words.type()
     style = words.word("the style")
     spacing = 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
     fill = -1

@@ -393,6 +393,35 @@ def test_not_possible(tmp_path, end, part, sentence):
         ("run 1000", "", "the script has no run"),
         ("radius constant 0.002", "radius constant", "the radius is missing at the end"),
         ("primitive type 2", "primitive type 1.5", "the type is 1.5; give a whole number"),
+        (
+            "primitive type 2",
+            "primitive type 3",
+            "in.deck:16: the type is 3, but the box is made for the types 1 to 2",
+        ),
+        ("run 1000", "run -5", "the number of steps is -5; give one of at least 0"),
+        ("fix i all", "fix i moving", "in.deck:21: there is no group moving. Groups: all."),
+        ("run 1000", "group a tipe 1", "groups have no style tipe; they have region, type, id,"),
+        ("2 p1 0.25 p2", "2 p1 0.25 p3", "there is no particle template p3. Templates: p1, p2."),
+        (
+            "particles_in_region 50",
+            "volumefraction_region 1.5",
+            "the volume fraction is 1.5; give one below 1",
+        ),
+        (
+            "primitive type 2 zplane 0.0",
+            "mesh n_meshes 2 meshes a",
+            "n_meshes is 2, but fewer names follow (meshes a)",
+        ),
+        (
+            "primitive type 2 zplane 0.0",
+            "mesh n_meshes 1 meshes a",
+            "there is no fix mesh/surface a. Meshes: none.",
+        ),
+        (
+            "primitive type 2 zplane 0.0",
+            "mesh nmeshes 1 meshes a",
+            "are missing before the unknown keyword nmeshes",
+        ),
     ],
 )
 def test_errors(tmp_path, old, new, message):
