@@ -5,6 +5,7 @@ executed and build the blocks of the scene from it afterwards. A fix lives from 
 its times tell in which stages it acts.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
@@ -200,6 +201,8 @@ class Deck:
     fixes: dict[str, Fix] = field(default_factory=dict)
     """Those that act now."""
     all_fixes: list[Fix] = field(default_factory=list)
+    _by_style: tuple[int, dict[str, list[tuple[int, Fix]]]] | None = None
+    """The number of all fixes, and these by style with their index."""
     computes: dict[str, Entry] = field(default_factory=dict)
     time: float = 0.0
     step: int = 0
@@ -240,15 +243,25 @@ class Deck:
 
     def fixes_of(self, *styles: str) -> list[Fix]:
         """All fixes of the styles, also ended ones, in the order of the script."""
-        return [each for each in self.all_fixes if each.style in styles]
+        if self._by_style is None or self._by_style[0] != len(self.all_fixes):
+            by_style: dict[str, list[tuple[int, Fix]]] = {}
+            for index, fix in enumerate(self.all_fixes):
+                by_style.setdefault(fix.style, []).append((index, fix))
+            self._by_style = len(self.all_fixes), by_style
+        found = [each for style in styles for each in self._by_style[1].get(style, ())]
+        return [fix for _, fix in sorted(found, key=lambda each: each[0])]
 
     def ever_fix(self, name: str) -> Fix | None:
         """The newest fix of a name, also an ended one."""
         return next((each for each in reversed(self.all_fixes) if each.name == name), None)
 
     def acting(self, fix: Fix) -> list[Run]:
-        """The runs in which a fix acts."""
-        return [run for run in self.runs if run.steps and fix.acts_in(run)]
+        """The runs in which a fix acts; they are in the order of time."""
+        first = bisect_left(self.runs, fix.start, key=lambda run: run.start + run.slack)
+        last = (
+            None if fix.end is None else bisect_right(self.runs, fix.end, key=lambda run: run.end - run.slack)
+        )
+        return [run for run in self.runs[first:last] if run.steps and fix.acts_in(run)]
 
     @property
     def end(self) -> float:

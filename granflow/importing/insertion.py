@@ -400,11 +400,12 @@ def collect(deck: Deck) -> None:
         elif isinstance(fix.data, Pour) and deck.acting(fix):
             _pour(deck, fix, fix.data)
     taken: set[str] = set()
+    counts: dict[str, int] = {}
     for group in deck.particles[before:]:
-        plain, count = group_name(group), 1
+        plain = group_name(group)
         while group_name(group) in taken:
-            count += 1
-            group.name = f"{plain}_{count}"
+            counts[plain] = counts.get(plain, 1) + 1
+            group.name = f"{plain}_{counts[plain]}"
         taken.add(group_name(group))
 
 
@@ -643,15 +644,17 @@ class Amount:
 
     def _saturation(self, region: Region) -> float:
         """Volume [m3] of particles at which random insertion into a region ends: MOST_FILLED of the volume in
-        which their centers lie."""
+        which their centers lie, the mean of all sizes by number."""
         extent = extent_of(self.deck, region)
         whole = _box_volume(extent)
         volume = volume_of(region) or whole
-        if self.given.all_in:
-            size = 2.0 * max(each.radius for each in self.given.distribution.templates)
-            inner = [max(0.0, extent[2 * k + 1] - extent[2 * k] - size) for k in range(3)]
-            volume *= inner[0] * inner[1] * inner[2] / whole
-        return MOST_FILLED * volume
+        if not self.given.all_in:
+            return MOST_FILLED * volume
+        distribution = self.given.distribution
+        radius = np.array([each.radius for each in distribution.templates])
+        shares = np.array(distribution.number_shares())
+        inner = np.array([extent[2 * k + 1] - extent[2 * k] - 2.0 * radius for k in range(3)]).clip(min=0.0)
+        return float(MOST_FILLED * volume * (shares @ inner.prod(axis=0)) / whole)
 
     @staticmethod
     def _rain(region: dict[str, Any], rate: float, start: float) -> dict[str, Any]:
