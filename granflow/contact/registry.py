@@ -34,7 +34,7 @@ from granflow.contact.material import PairMaterial
 from granflow.contact.normal import eepa, hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation, flow_field, source_field
 from granflow.contact.rolling import cdt, epsd, sds, viscous
-from granflow.contact.tangential import linear_history, mindlin
+from granflow.contact.tangential import linear_history, mindlin, sliding_dashpot
 from granflow.contact.twisting import marshall, torsion_spring
 from granflow.fields import Quantity
 from granflow.schema.model import example_of, is_name
@@ -205,7 +205,7 @@ def _undefined(model: ContactModel) -> Iterator[str]:
 
 _NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, eepa, kuwabara_kono)
 _OTHER = (sjkr, dmt, jkr, capillary, capillary_transfer, van_der_waals, conduction)
-_SURFACE = (mindlin, linear_history, epsd, cdt, sds, viscous, marshall, torsion_spring)
+_SURFACE = (mindlin, linear_history, sliding_dashpot, epsd, cdt, sds, viscous, marshall, torsion_spring)
 for _module in (*_NORMAL, *_SURFACE, *_OTHER):
     add(_module.MODEL)
 

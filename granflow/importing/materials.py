@@ -935,9 +935,10 @@ class Contacts:
         if damping and self.deck.code == "liggghts":
             keys["dashpot"] = "sticking"
         if name in ("no_history", "linear_nohistory"):
-            main.entry.approximated(
-                "the tangential force has a spring with history; the script has a dashpot only"
-            )
+            if damping:
+                return {"law": "sliding_dashpot", "damping": keys["damping"]}
+            main.entry.approximated("without a tangential dashpot the script has no friction")
+            return "none"
         if name == "linear_history" or (main.normal == "hooke/stiffness" and name == "history"):
             value = self._stiffness("kt", main, first.type, first.type)
             return {"law": "linear_history", "stiffness": quantity(value, "stiffness"), **keys}
@@ -1308,6 +1309,7 @@ MODELS: tuple[tuple[str, str, str], ...] = (
         "",
     ),
     ("tangential linear_history", "tangential: linear_history", ""),
+    ("tangential no_history, linear_nohistory, gran/hooke", "tangential: sliding_dashpot", ""),
     (
         "tangential_damping on (default)",
         "tangential: {damping, dashpot}",

@@ -1,4 +1,4 @@
-"""Oblique impacts of imported scripts against LIGGGHTS 3.8.0 itself."""
+"""Oblique impacts of imported scripts against LIGGGHTS 3.8.0 and LAMMPS 29 Sep 2021 themselves."""
 
 import numpy as np
 import pytest
@@ -42,20 +42,48 @@ fix i all nve/sphere
 timestep 2e-7
 run 10000
 """
+LAMMPS = """
+units si
+atom_style sphere
+boundary f f f
+newton off
+comm_modify vel yes
+region box block 0 0.2 0 0.1 -0.01 0.2
+create_box 1 box
+neighbor 0.002 bin
+create_atoms 1 single 0.1 0.02 0.0051
+create_atoms 1 single 0.1 0.06 0.15
+create_atoms 1 single 0.1098 0.06 0.1532
+set group all diameter 0.01
+set group all density 2500
+set atom 3 omega 0 30 0
+group a id 1
+group b id 2
+group c id 3
+velocity a set 0.2 0 -1.0
+velocity b set 0.5 0 -0.3
+velocity c set -0.5 0 0.2
+pair_style gran/hooke 1e6 NULL 1000 NULL 0.4 1
+pair_coeff * *
+fix w all wall/gran hooke 1e6 NULL 1000 NULL 0.4 1 zplane 0 NULL
+fix i all nve/sphere
+timestep 2e-7
+run 10000
+"""
 HERTZ = {"model": "hertz/stiffness", "kn": 8e7, "kt": 2.4e7, "gamman": 4e5, "gammat": 2e5}
 HOOKE = {"model": "hooke/stiffness", "kn": 1e6, "kt": 2.857e5, "gamman": 1000, "gammat": 500}
 IMPACTS = [
-    (HERTZ, [[0.0880016, 0.947725, 55.3107], [-0.297985, -0.308031, -135.874], [0.297985, 0.208031, -105.874]]),
-    (HOOKE, [[0.0907025, 0.944817, 54.4979], [-0.299379, -0.307477, -133.071], [0.299379, 0.207477, -103.071]]),
+    (DECK.format(**HERTZ), [[0.0880016, 0.947725, 55.3107], [-0.297985, -0.308031, -135.874], [0.297985, 0.208031, -105.874]]),
+    (DECK.format(**HOOKE), [[0.0907025, 0.944817, 54.4979], [-0.299379, -0.307477, -133.071], [0.299379, 0.207477, -103.071]]),
+    (LAMMPS, [[0.189721, 0.944817, 5.13974], [-0.213463, -0.541334, -8.89254], [0.213463, 0.441334, 21.1075]]),
 ]  # fmt: skip
-"""Numbers of the model; vx, vz [m/s] and omegay [rad/s] of LIGGGHTS after the impacts: of a sphere on the wall, and of
-two spheres."""
+"""Scripts; vx, vz [m/s] and omegay [rad/s] of the code after the impacts: of a sphere on the wall, and of two spheres."""
 
 
-@pytest.mark.parametrize(("numbers", "expected"), IMPACTS)
-def test_impacts_of_given_stiffnesses(tmp_path, numbers, expected):
+@pytest.mark.parametrize(("script", "expected"), IMPACTS, ids=["hertz", "hooke", "no history"])
+def test_impacts(tmp_path, script, expected):
     """The lever arms differ by a part of the overlap, here 0.3 %; LIGGGHTS continues the friction while the dashpot pulls."""
-    (tmp_path / "in.deck").write_text(DECK.format(**numbers))
+    (tmp_path / "in.deck").write_text(script)
     found = convert(tmp_path / "in.deck")
     for name, content in found.files.items():
         (tmp_path / name).write_bytes(content)

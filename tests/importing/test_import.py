@@ -192,6 +192,8 @@ def mass(diameter=0.004, density=2500):
         # Mindlin's ratio kt/kn = 3 (1 - nu) / (2 - nu), kn = 4/3 E*.
         (f"pair_style gran/hertz/history 1e6 {1e6 * 3 * 0.75 / 1.75} 10 NULL 0.5 1", "materials.type1.poisson_ratio", 0.25),
         ("pair_style gran/hertz/history 1e6 1e6 10 NULL 0.5 1", "contact.normal.law", "kuwabara_kono"),
+        ("pair_style gran/hooke 1000 NULL 300 NULL 0.5 1", "contact.tangential.law", "sliding_dashpot"),
+        ("pair_style gran/hooke 1000 NULL 300 NULL 0.5 0", "contact.tangential", "none"),
         # Of the Poisson ratio 0.5, kt/kn is 1; of 0.25 it is 9/7, and 8 G* = 2 E / ((2 - nu) (1 + nu)).
         ("pair_style gran/hertz/history 1e6 NULL 10 NULL 0.5 1", "contact.tangential.stiffness_factor", 0.285714286),
         ("pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.25 tangential mindlin 4.375e6 1.0 0.5 damping tsuji",
