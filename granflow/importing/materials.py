@@ -1094,10 +1094,10 @@ class Contacts:
                 f"{key}: the restitution of the script depends on the size, from {spread[0]:.3g} to "
                 f"{spread[1]:.3g}; here it is {e:.3g}"
             )
-        if "mu" in model.numbers:
-            values["friction"] = model.numbers["mu"]
-        elif model.tangential == "none":
+        if (draft.get("contact") or {}).get("tangential") == "none" or model.tangential == "none":
             values["friction"] = 0
+        elif "mu" in model.numbers:
+            values["friction"] = model.numbers["mu"]
         else:
             values["friction"] = self._number("coefficientFriction", model, first.type, type)
         rolling = (draft.get("contact") or {}).get("rolling", "none")
