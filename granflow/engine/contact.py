@@ -312,7 +312,7 @@ class Accounting:
         if ti.static(self.features.force_controlled_walls):
             self.controlled_walls.add(chunk, self.wall_of(j), found.force)
         if ti.static(self.features.wall_forces):
-            self.impulses.add(chunk, self.wall_of(j), i, normal, found.force, found.torque, dt)
+            self.impulses.add(chunk, self.wall_of(j), i, pose, normal, found.force, found.torque, dt)
 
     @ti.func
     def _add_losses(self, chunk, j, found):

@@ -55,6 +55,7 @@ from granflow.engine.totals import (
     wall_poses,
 )
 from granflow.engine.wall_dynamics import shift_bodies, wall_impulses
+from granflow.engine.walls import torque_points
 from granflow.engine.wear import wall_wear, wear_totals
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
@@ -268,9 +269,8 @@ class Engine:
             self.state.walls.present[index] = int(is_present)
             pivot = poses_at(self.state.wall_motions[index], np.array([self.time])).pivot
             self.state.walls.pivot[index] = pivot.tolist()
-            if self.state.walls.torque_point is not None:
-                given = self.plan.walls[index].spec.torque_point
-                self.state.walls.torque_point[index] = pivot.tolist() if given is None else list(given)
+        if self.plan.features.wall_forces and not self.plan.features.moving_walls:
+            self.state.walls.torque_point.from_numpy(torque_points(self.state, np.zeros(1)))
         self._walls_changed = True
 
     def set_stage(self, stage: str) -> None:

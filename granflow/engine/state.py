@@ -389,7 +389,7 @@ class Walls:
     surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
                        None without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
-    torque_point:      [m], to which measured torques refer
+    torque_point:      [m], to which measured torques refer after each step, or one if no wall moves
     wear_law:          index in `Plan.wear_laws`, or NOT_WORN
     wear_row:          row in `Control.wear`; of a mesh that of triangle 0 of all meshes, which can be below 0
     wear_coefficient:  worn volume over work [1/Pa] by material of the particle
@@ -413,7 +413,8 @@ class Walls:
         self.velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         measured = plan.features.wall_forces
         self.impulse_row = block.scalar(ti.i32, count) if measured else None
-        self.torque_point = block.vector(backend.position_real, count) if measured else None
+        steps = POSE_COUNT if moving else 1
+        self.torque_point: Any = block.vector(backend.position_real, steps, count) if measured else None
         self.angular_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         worn = plan.features.wear
         self.wear_law: Any = block.scalar(ti.i32, count) if worn else None

@@ -367,7 +367,7 @@ class WallImpulses:
 
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
 
-    with p the `torque_point` of the wall, by default that of its first rotation in the scene. Sums are exact,
+    with p the `torque_point` of the wall, by default that of its first rotation at this step. Sums are exact,
     because a wall force is the difference of two sums. Chunks of one particle share rows by atomic additions.
 
     Reads:   position, impulse_row, torque_point
@@ -382,16 +382,17 @@ class WallImpulses:
         self.shared = shares_rows(state)
         self.rows = state.capacities.wall_rows
         self.measured = state.capacities.measured_walls
+        self.moving = state.plan.features.moving_walls
 
     @ti.func
-    def add(self, chunk, w, i, normal, force, torque, dt):
+    def add(self, chunk, w, i, pose, normal, force, torque, dt):
         """Add one contact of particle i with wall w in one step: force [N] and torque [N m] on i."""
         row = self.walls.impulse_row[w]
         if row >= 0:
             time = ti.cast(dt, ti.f64)
             impulse = -time * ti.cast(force, ti.f64)
             angular_impulse = -time * ti.cast(torque, ti.f64)
-            arm = ti.cast(self.position[i], ti.f64) - ti.cast(self.walls.torque_point[w], ti.f64)
+            arm = ti.cast(self.position[i], ti.f64) - ti.cast(self._torque_point(w, pose), ti.f64)
             angular_impulse += arm.cross(impulse)
             units = ti.cast(self.per_unit(), ti.f64)
             terms = ti.Vector.zero(ti.i64, 2 * IMPULSE_SIZE)
@@ -403,6 +404,14 @@ class WallImpulses:
                 self._add_to_shared(chunk, row, terms)
             else:
                 self.impulses[chunk, row] = carried(self.impulses[chunk, row] + terms, IMPULSE_SIZE)
+
+    @ti.func
+    def _torque_point(self, w, pose):
+        """Point [m] to which the torque on a wall refers."""
+        row = 0
+        if ti.static(self.moving):
+            row = pose
+        return self.walls.torque_point[row, w]
 
     @ti.func
     def _add_to_shared(self, chunk, row, terms):

@@ -21,7 +21,7 @@ from granflow.geometry.surface import FAR_AWAY, reader_of_numbers
 from granflow.kernel_language import ti
 from granflow.plan.capacities import POSE_COUNT
 from granflow.plan.joined_walls import ITSELF, OTHERS
-from granflow.scene.blocks.motions import poses_at
+from granflow.scene.blocks.motions import axis_points_at, poses_at
 
 # Joined walls: the contact of a particle with one face, unless it is found on another face as well
 #
@@ -534,6 +534,17 @@ class WallPoses:
         return int(displacement_limit / (speed * plan.longest_time_step)) - steps_since_rebuild
 
 
+def torque_points(state: State, times: np.ndarray) -> np.ndarray:
+    """Points (k, walls, 3) [m] to which measured torques refer, at `times` (k,) [s], in the precision of
+    positions: those that walls give, otherwise those of their first rotation."""
+    dtype = np.float32 if state.backend.precision == "f32" else np.float64
+    found = np.zeros((len(times), state.plan.capacities.walls, 3), dtype)
+    for index, wall in enumerate(state.plan.walls):
+        given = wall.spec.torque_point
+        found[:, index] = axis_points_at(state.wall_motions[index], times) if given is None else given
+    return found
+
+
 def upload_poses(state: State, step: int) -> None:
     """Upload the poses after POSE_COUNT steps from number `step`, with velocities at their middles.
 
@@ -542,7 +553,7 @@ def upload_poses(state: State, step: int) -> None:
     Times follow from step numbers, so that they are bit-identical for any first step. Ends and middles
     of the steps are evaluated together, and a wall without motion once.
 
-    Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
+    Writes:  center, rotation, velocity, angular_velocity, surface_velocity, torque_point of walls; active
     """
     walls = state.walls
     clock = state.clock
@@ -563,6 +574,8 @@ def upload_poses(state: State, step: int) -> None:
         padded[:, : len(arrays)] = np.stack(arrays, axis=1)
         field.from_numpy(padded)
 
+    if state.plan.features.wall_forces:
+        walls.torque_point.from_numpy(torque_points(state, times))
     upload_running(state, middles[:POSE_COUNT])
     upload(walls.center, [p.offset[:POSE_COUNT] + p.pivot for p in both], position_real)
     upload(walls.rotation, [p.rotation[:POSE_COUNT] for p in both], position_real)

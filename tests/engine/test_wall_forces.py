@@ -83,6 +83,28 @@ def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
     assert np.abs(residual[1]).max() < snapshots[-1].step * EPS * scale * 0.06
 
 
+@pytest.mark.parametrize("moves", [True, False])
+def test_torque_refers_to_the_axis_that_moves_with_the_motions_before_the_rotation(taichi_f64, moves):
+    """A particle at x = 10 mm rests on a turntable without friction: its weight m g has the torque (x - p) m g
+    about y. The axis p = 20 mm + v t moves with a translation before the rotation, so that the mean over T is
+    (-10 mm - v T / 2) m g; after the rotation, the translation does not move it.
+    """
+    k = theory.hertz_stiffness(SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2)), 0.005)
+    height = 0.005 - (MASS * GRAVITY / k) ** (2.0 / 3.0)
+    travel = {"kind": "translation", "velocity": [2.0, 0, 0]}
+    turn = {"kind": "rotation", "point": [0.02, 0, 0], "axis": [0, 0, 1], "angular_velocity": 3.0}
+    table = plane([0, 0, 0], [0, 0, 1]) | {"motion": [travel, turn] if moves else [turn, travel]}
+    scene = build_scene(
+        {"ball": particle_group([[0.01, 0.0, height]])}, walls={"table": table}, normal="hertz",
+        gravity=[0.0, 0.0, -GRAVITY], run={"duration": 0.004, "velocity_max": 0.5},
+        output={"interval": 1.0, "wall_forces": True},
+    )  # fmt: skip
+    last = run_and_sample(scene, 0.004)[-1]
+    arm = -0.01 - (0.5 * 2.0 * (last.time + last.time / last.step) if moves else 0.0)
+    weight = MASS * GRAVITY * last.time
+    np.testing.assert_allclose(last.impulses["table"][[2, 4]], [-weight, arm * weight], rtol=1e-9)
+
+
 @pytest.mark.parametrize("restitution", [pytest.param(1.0, marks=pytest.mark.slow), 0.6])
 def test_impulse_of_one_impact(taichi_f64, restitution):
     """J = m (1 + e) v with the measured e; no tangential impulse; the pressure is over the area of the

@@ -507,7 +507,8 @@ class Rotation(SteadyRotation):
     """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at
     the start.
 
-    The torque on a wall refers to `point` of its first rotation, unless the wall has a `torque_point`.
+    The torque on a wall refers to `point` of its first rotation, which moves with the motions before it,
+    unless the wall has a `torque_point`.
 
     >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
     3.141592653589793
@@ -1280,6 +1281,25 @@ def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
     turned = later.rotation @ rotation
     offset = later.offset + center - pivot
     return replace(later, offset=offset, rotation=turned, pivot=pivot)
+
+
+def axis_points_at(motions: Sequence[TimedMotion], times: np.ndarray) -> np.ndarray:
+    """Points (k, 3) [m] on the axis of the first rotation at `times` (k,) [s], moved by the motions before.
+
+    Without a rotation after a placement that has turned the wall, the former pivot in the placed wall;
+    without any rotation, the origin.
+    """
+    placement = placement_of(motions)
+    point = np.zeros((len(times), 3))
+    for motion in motions[1:] if placement is not None else motions:
+        if motion.rotates:
+            return point + motion.point_and_axis[0]
+        point = point + motion.displacement_and_rate(times)[0]
+    rotation = np.eye(3) if placement is None else np.array(placement.rotation)
+    center = np.zeros(3)
+    if placement is not None and not np.array_equal(rotation, np.eye(3)):
+        center = rotation @ np.array(placement.pivot) + np.array(placement.translation)
+    return np.broadcast_to(center, point.shape)
 
 
 def placement_at(motions: Sequence[TimedMotion], time: float) -> Placement:

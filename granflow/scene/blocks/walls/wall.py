@@ -51,7 +51,8 @@ class Wall(Model):
     )
     torque_point: q.Point | None = optional(
         "point in space to which the torque of the particles in output.wall_forces refers [m]",
-        "the point of the first rotation of the wall; the origin without rotation",
+        "the point of the first rotation of the wall, which moves with the motions before it; the origin "
+        "without rotation",
         examples=[[0, 0, "10 cm"]],
     )
     wear: WearSpec | None = optional(
