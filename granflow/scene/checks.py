@@ -7,7 +7,7 @@ cause consequential messages. Checks within one block are `Model.faults` of its 
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import combinations_with_replacement, product
 from typing import Annotated, Any, get_args, get_origin
 
@@ -30,7 +30,7 @@ from granflow.fields import (
     WEAR_QUANTITIES,
     Quantity,
 )
-from granflow.scene.blocks.contact import Contact
+from granflow.scene.blocks.contact import Contact, LawSettings
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
@@ -84,6 +84,14 @@ class PartialScene:
         boxes = [name for name, shape in shapes.items() if shape is not None and shape.scalar == "box"]
         faces += [f"{box}.{face}" for box in boxes for face in FACES if box not in valid]
         return (*(name for name in written if name not in boxes), *faces)
+
+    @cached_property
+    def contact_models(self) -> Contact | None:
+        """The block `contact`, with default options if it has faults; None if a model is not known."""
+        if "contact" in self.complete:
+            return self.scene.contact
+        node = self.document.root.child("contact")
+        return None if node is None else Contact.with_default_options(node.data())
 
     def faults(self) -> Iterator[Fault]:
         """Inconsistencies between the fields of each valid part, with the full key path of the fault."""
@@ -257,7 +265,9 @@ def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, in
 
 def pair_properties(parts: PartialScene) -> Iterator[Fault]:
     """Keys of pairs require the contact model that declares them, and vice versa."""
-    contact = parts.scene.contact
+    contact = parts.contact_models
+    if contact is None:
+        return
     for key, pair in parts.scene.pairs.items():
         for name, each in registry.pair_properties().items():
             path: KeyPath = ("pairs", key, name)
@@ -289,7 +299,10 @@ def restitution(parts: PartialScene) -> Iterator[Fault]:
 
     The forms are: nothing, a number, a positive number, a number or a fit (`ContactModel.restitution`).
     """
-    normal = parts.scene.contact.normal
+    contact = parts.contact_models
+    if contact is None:
+        return
+    normal = contact.normal
     for key, pair in parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "restitution")
         if normal.record.restitution == "nothing":
@@ -305,17 +318,18 @@ def restitution(parts: PartialScene) -> Iterator[Fault]:
         elif pair.restitution is None:
             yield missing(path, "restitution coefficient, a number in [0, 1]")
         elif pair.fit:
-            yield from _restitution_fit(parts, key, pair.fit)
+            yield from _restitution_fit(parts, normal, key, pair.fit)
         elif pair.restitution == 0 and normal.record.restitution == "positive number":
             yield Fault(path, f"the contact model {normal.law} requires a number above 0 and at most 1")
 
 
-def _restitution_fit(parts: PartialScene, key: str, fit: RestitutionFit) -> Iterator[Fault]:
+def _restitution_fit(
+    parts: PartialScene, normal: LawSettings, key: str, fit: RestitutionFit
+) -> Iterator[Fault]:
     """A restitution fit (Zhou 2011, Eq. 12) is valid only with a contact model that accepts it.
 
     Without a limit velocity, it requires the yield strengths of its materials (Eq. 11).
     """
-    normal = parts.scene.contact.normal
     path = ("pairs", key, "restitution")
     without_yield = _without_yield_strength(parts, key)
     fixed = [key for key, word in normal.record.options.with_numbers.items() if getattr(normal, key) == word]
@@ -957,8 +971,8 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     ((), materials_exist),
     ((), material_names),
     (("particles",), possible_contacts_have_a_pair),
-    (("contact",), pair_properties),
-    (("contact",), restitution),
+    ((), pair_properties),
+    ((), restitution),
     (("stages",), stage_names),
     (("gravity", "stages"), gravity_stages),
     (("particles",), wall_groups),

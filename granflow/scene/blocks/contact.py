@@ -5,7 +5,7 @@ key `law` and the options of the model. The schema class of such a
 mapping is created here: it adds `law` to the class of the options.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
@@ -60,6 +60,24 @@ class Contact(Model):
         return model.options() if model else Options()
 
     @classmethod
+    def with_default_options(cls, given: Any) -> "Contact | None":
+        """The models that a block names, for checks of what they require; None if a model is not known.
+
+        Other slots than `normal` have names only, and required options are missing.
+        """
+        if not isinstance(given, Mapping):
+            return None
+        chosen: dict[str, Any] = {}
+        for slot in SLOTS:
+            value = given.get(slot, "none" if SLOTS[slot].optional else None)
+            name = value.get("law") if isinstance(value, Mapping) else value
+            if not isinstance(name, str) or name not in _words(slot):
+                return None
+            chosen[slot] = name
+        normal = _model(registry.models("normal")[chosen["normal"]])
+        return cls.model_construct(**chosen | {"normal": normal.model_construct(law=chosen["normal"])})
+
+    @classmethod
     def hint(cls, key: str, word: str) -> str:
         """What a name that is not one of a slot needs: options, another slot, or a registration."""
         own = registry.models(key).get(word)
@@ -76,6 +94,11 @@ def _needed_options(model: ContactModel) -> str:
     given = ", ".join(f"{key}: {example}" for key, example in model.required_options.items())
     needed = " and ".join(model.required_options)
     return f". {model.name} requires {needed}, such as {{law: {model.name}, {given}}}"
+
+
+def _words(slot: str) -> set[str]:
+    """All names that a slot can have."""
+    return {*registry.models(slot), *(() if slot == "normal" else ("none",))}
 
 
 # The keys of the slots

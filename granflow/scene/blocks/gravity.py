@@ -156,6 +156,14 @@ class ChangingGravity(Model):
             )
         else:
             yield from self._row_faults(self.times, self.vectors)
+        yield from self._turn_faults()
+
+    def _turn_faults(self) -> Iterator[Fault]:
+        """Yield a fault for the first motion if it turns gravity that is zero."""
+        vectors = self.vectors if self.vector is None else (self.vector,)
+        if vectors and not any(map(any, vectors)) and self.motion and self.motion[0].rotates:
+            reason = "it turns gravity, which is zero; give a vector, such as [0, 0, -9.81], or remove it"
+            yield Fault(("motion", 0), reason)
 
     def _row_faults(self, times: Sequence[float], vectors: Sequence[q.Vector3]) -> Iterator[Fault]:
         if len(times) < 2 or len(times) > MOST_ROWS:
