@@ -256,6 +256,24 @@ def _replace(streams: dict[str, Any]) -> None:
 
 # The start
 
+COMPILING = "Compiling kernels: 10 to 30 s at the first start, then from a cache ..."
+"""Line on a terminal until a run can begin."""
+
+
+@contextmanager
+def compiling_shown() -> Iterator[None]:
+    """In the block, a line on stderr that kernels are compiled, if it is a terminal; removed at the end."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    sys.stderr.write(COMPILING)
+    sys.stderr.flush()
+    try:
+        yield
+    finally:
+        sys.stderr.write("\r\x1b[2K")
+        sys.stderr.flush()
+
 
 @contextmanager
 def quick_start() -> Iterator[None]:

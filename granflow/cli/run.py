@@ -31,7 +31,7 @@ from granflow.cli.arguments import (
     warn,
     warned,
 )
-from granflow.cli.process import deferred_to, exit_code_of, pass_stops_to, quick_start
+from granflow.cli.process import compiling_shown, deferred_to, exit_code_of, pass_stops_to, quick_start
 from granflow.errors import GranflowError
 from granflow.visible_text import VisibleFormatter, numbered, visible
 
@@ -117,18 +117,19 @@ def simulation_of(
     """The simulation of `granflow run` and of `granflow resume`; arguments as those of `Simulation`."""
     from granflow.simulation import Simulation
 
-    return Simulation(
-        scene,
-        arch=options.arch,
-        threads=options.threads,
-        out=out,
-        progress=True,
-        resume=resume,
-        allow_changes=allow_changes,
-        allow_long=options.allow_long,
-        communicator=communicator,
-        overwrite=overwrite,
-    )
+    with compiling_shown():
+        return Simulation(
+            scene,
+            arch=options.arch,
+            threads=options.threads,
+            out=out,
+            progress=True,
+            resume=resume,
+            allow_changes=allow_changes,
+            allow_long=options.allow_long,
+            communicator=communicator,
+            overwrite=overwrite,
+        )
 
 
 def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
@@ -591,8 +592,14 @@ def explain(options: argparse.Namespace) -> int:
     """`granflow explain`: print features, defaults, time step, memory and run time."""
     from granflow.plan.build import plan_for
     from granflow.plan.explain import explain as explain_plan
+    from granflow.studies.restitution import remarks
 
-    say(explain_plan(plan_for(load(options), on_gpu=options.arch != "cpu")))
+    plan = plan_for(load(options), on_gpu=options.arch != "cpu")
+    say(explain_plan(plan))
+    if found := remarks(plan):
+        say("\nRestitution at this time step")
+        for each in found:
+            say(f"  {each}")
     return 0
 
 

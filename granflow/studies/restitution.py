@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from granflow import Plan, Scene, plan_for
+from granflow.contact.theory import LOSS_TOLERANCE, loss_error
 from granflow.studies.bench import LONGEST, Collision, CollisionBench, Impact
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
@@ -55,7 +56,7 @@ DECADES = 3
 PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Phases of first contact within a time step."""
 TOLERANCE = 0.01
-"""Relative difference that is marked in the table, and above which a run reports a warning."""
+"""Relative difference that is marked in the table."""
 HEIGHT = 5.2
 """Height of the figure [inch]."""
 
@@ -190,32 +191,48 @@ HALVINGS = 6
 """Number of halvings in the search for a sufficient time step (down to 1/64)."""
 
 
-def warnings(plan: Plan) -> list[str]:
-    """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1
-    %.
+def estimates(plan: Plan) -> Iterator["Estimate"]:
+    """The collision of each material pair whose lost energy differs most from that of the given restitution.
 
-    Each warning describes the collision of the pair with the largest error, and a sufficient time step [s] if
-    one is found. Collisions that cannot occur, and collisions for which the plan has a warning already, are
-    excluded. QUICK_STEPS limits the total number of steps of all collisions.
+    Collisions that cannot occur, and collisions for which the plan has a warning already, are excluded.
+    QUICK_STEPS limits the total number of steps of all collisions.
     """
     scene = plan.scene
-    worst: dict[str, tuple[float, Collision, _Impact]] = {}
+    worst: dict[str, Estimate] = {}
     steps = 0
     for pair in pairings(plan):
         if not _occurs(scene, pair):
             continue
-        deviations: list[tuple[float, _Impact]] = []
+        found: list[Estimate] = []
         for share in QUICK_VELOCITIES:
             impact = _impact(plan, pair, share * plan.impact_velocity.value)
             steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
             if steps > QUICK_STEPS or _unreachable(plan, impact):
                 break
-            deviations.append((_deviation(plan, impact), impact))
+            found.append(Estimate(name_of(pair), impact, _simulated(plan, impact)))
         key = scene.pair_key(pair.first, pair.second)
-        for size, impact in deviations:
-            if size > max(TOLERANCE, worst[key][0] if key in worst else 0.0):
-                worst[key] = (size, pair, impact)
-    return [_sentence(plan, pair, impact) for _, pair, impact in worst.values()]
+        for each in found:
+            if key not in worst or each.error > worst[key].error:
+                worst[key] = each
+    yield from worst.values()
+
+
+def warnings(plan: Plan) -> list[str]:
+    """Warnings for all material pairs whose collisions lose another energy than with the given restitution.
+
+    Each describes the collision of the pair with the largest error, if that is above LOSS_TOLERANCE, and a
+    sufficient time step [s] if one is found.
+    """
+    return [_sentence(plan, each) for each in estimates(plan) if each.error > LOSS_TOLERANCE]
+
+
+def remarks(plan: Plan) -> list[str]:
+    """One sentence for each material pair: its restitution at the time step of the plan."""
+    return [
+        f"{each.name}: the restitution is {each.reached:.4g} in place of {each.impact.requested:.4g} at "
+        f"{each.impact.velocity:.3g} m/s; the energy lost in this collision has an error of {each.error:.1%}."
+        for each in estimates(plan)
+    ]
 
 
 def _occurs(scene: Scene, pair: Collision) -> bool:
@@ -242,6 +259,20 @@ class _Impact:
         return self.arguments[3]
 
 
+@dataclass(frozen=True)
+class Estimate:
+    """A collision at the time step of a plan: the material pair, and its simulated restitution."""
+
+    name: str
+    impact: _Impact
+    reached: float
+
+    @property
+    def error(self) -> float:
+        """Relative error of the lost energy."""
+        return loss_error(self.reached, self.impact.requested)
+
+
 def _impact(plan: Plan, pair: Collision, velocity: float) -> _Impact:
     """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
     arguments = (plan.pair(pair.first, pair.second), *pair.reduced(plan.scene), velocity)
@@ -251,21 +282,23 @@ def _impact(plan: Plan, pair: Collision, velocity: float) -> _Impact:
 
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
-    """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a
+    """Whether the given restitution is 0, or so far below the minimum of the time step that the plan has a
     warning."""
     if not plan.laws.normal.limits_restitution or impact.requested == 0.0:
         return impact.requested == 0.0
-    return impact.requested < plan.laws.normal.least_restitution(*impact.arguments, plan.time_step)
+    least = plan.laws.normal.least_restitution(*impact.arguments, plan.time_step)
+    return impact.requested < least and loss_error(least, impact.requested) > LOSS_TOLERANCE
 
 
-def _deviation(plan: Plan, impact: _Impact) -> float:
-    """Relative difference of simulated and given restitution; at most that of FINE_STEPS if it is within
-    TOLERANCE."""
-    size = TOLERANCE + 1.0
-    for step in (impact.duration / FINE_STEPS, plan.time_step):
-        if step >= plan.time_step and size > TOLERANCE:
-            size = abs(_worst_restitution(plan, impact, step) / impact.requested - 1.0)
-    return size
+def _simulated(plan: Plan, impact: _Impact) -> float:
+    """Simulated restitution; that of FINE_STEPS for a finer time step, if its error is within a fifth of
+    LOSS_TOLERANCE."""
+    fine = impact.duration / FINE_STEPS
+    if plan.time_step < fine:
+        reached = _worst_restitution(plan, impact, fine)
+        if loss_error(reached, impact.requested) <= 0.2 * LOSS_TOLERANCE:
+            return reached
+    return _worst_restitution(plan, impact, plan.time_step)
 
 
 def _worst_restitution(plan: Plan, impact: _Impact, step: float) -> float:
@@ -298,20 +331,21 @@ def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: floa
     return 0.0
 
 
-def _sentence(plan: Plan, pair: Collision, impact: _Impact) -> str:
+def _sentence(plan: Plan, estimate: "Estimate") -> str:
     """Warning with the given and the simulated restitution, and the remedy."""
-    reached = _worst_restitution(plan, impact, plan.time_step)
+    impact = estimate.impact
     remedy = next(_remedies(plan, impact), None)
     advice = f"Use {plan.step.remedy(remedy)}." if remedy else "A smaller time step reduces the difference."
     return (
-        f"{name_of(pair)}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but "
-        f"the time step of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"
+        f"{estimate.name}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but "
+        f"the time step of {plan.time_step:.3g} s results in {estimate.reached:.4g}, which changes the "
+        f"energy lost in a collision by {estimate.error:.0%}. {advice}"
     )
 
 
 def _remedies(plan: Plan, impact: _Impact) -> Iterator[float]:
-    """Time steps [s], successively halved, at which the restitution is within the tolerance."""
+    """Time steps [s], successively halved, at which the error of the lost energy is within the tolerance."""
     for halvings in range(1, HALVINGS + 1):
         step = plan.time_step / 2.0**halvings
-        if abs(_worst_restitution(plan, impact, step) / impact.requested - 1.0) <= TOLERANCE:
+        if loss_error(_worst_restitution(plan, impact, step), impact.requested) <= LOSS_TOLERANCE:
             yield step

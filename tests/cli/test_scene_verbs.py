@@ -40,16 +40,16 @@ def test_warnings_are_counted_and_follow_the_result(scene_file, capsys):
     assert "output.interval" in output.err and "is 1 s, but the run lasts at most 0.02 s" in output.err
 
 
-@pytest.mark.parametrize("change", ["numerics.time_step_fraction=0.5", "run.time_step=2e-5"])
+@pytest.mark.parametrize("change", ["numerics.time_step_fraction=0.5", "run.time_step=5e-5"])
 def test_check_reports_a_restitution_that_the_step_does_not_reach(tmp_path, capsys, change):
     """The message names the key that the scene gives, and a value with which the warning disappears."""
     path = tmp_path / "beads.yaml"
     path.write_text(
-        TEXT.replace("restitution: 0.7", "restitution: 0.3").replace("normal: zhou", "normal: hertz")
+        TEXT.replace("restitution: 0.7", "restitution: 0.8").replace("normal: zhou", "normal: hertz")
     )
     assert main(["check", str(path), "--set", "numerics.rayleigh_fraction=1", "--set", change]) == 0
     error = capsys.readouterr().err
-    assert "the given restitution is 0.3" in error
+    assert "the given restitution is 0.8" in error
     key, value = re.search(r"Use ([a-z_.]+): ([0-9.e-]*[0-9])", error).groups()
     assert key == change.split("=")[0]
     assert main(["check", str(path), "--set", "numerics.rayleigh_fraction=1", "--set", f"{key}={value}"]) == 0

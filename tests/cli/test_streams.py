@@ -1,10 +1,13 @@
 """Output into a closed pipe or onto a full disk: an exit code, at most one sentence, no traceback."""
 
+import io
 import os
 import subprocess
 import sys
 
 import pytest
+
+from granflow.cli.process import compiling_shown
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices of POSIX")
 
@@ -76,3 +79,14 @@ def test_full_disk_is_reported_in_one_sentence():
             [sys.executable, "-c", MAIN, "schema"], stdout=full, stderr=subprocess.PIPE, text=True
         )
     assert (process.returncode, process.stderr) == (2, "granflow: <stdout>: No space left on device.\n")
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_compilation_is_shown_on_a_terminal_and_removed(monkeypatch, is_terminal):
+    stream = io.StringIO()
+    stream.isatty = lambda: is_terminal
+    monkeypatch.setattr(sys, "stderr", stream)
+    with pytest.raises(ValueError), compiling_shown():
+        assert stream.getvalue().startswith("Compiling kernels") == is_terminal
+        raise ValueError
+    assert stream.getvalue().endswith("\r\x1b[2K") == is_terminal

@@ -41,12 +41,12 @@ def warnings_of(scene):
     return warnings(plan_for(scene))
 
 
-def coarse_hertz(step="auto", fraction=0.15):
+def coarse_hertz(step="auto", fraction=0.3):
     """A damped Hertz contact resolved by few steps: the rebound velocity is too small."""
     groups = {"beads": particle_group([[0.0, 0.0, 0.1]], 0.01, "steel")}
     return build_scene(
         groups, walls={"floor": plane([0, 0, 0], [0, 0, 1], "steel")}, materials={"steel": STEEL}, normal="hertz",
-        pair={"restitution": 0.3}, run={"duration": 1.0, "velocity_max": 2.0, "time_step": step},
+        pair={"restitution": 0.8}, run={"duration": 1.0, "velocity_max": 2.0, "time_step": step},
         numerics={"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
     )  # fmt: skip
 
@@ -83,12 +83,14 @@ def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(tai
     sentences = {each.split(":")[0]: each for each in warnings_of(scene)}
     assert list(sentences) == ["steel-steel wall"]  # one particle: no collision between particles
     numbers = re.search(
-        r"the given restitution is (\S+) at (\S+) m/s, but the time step of (\S+) s results in (\S+)\. "
+        r"the given restitution is (\S+) at (\S+) m/s, but the time step of (\S+) s results in (\S+), which changes the "
+        r"energy lost in a collision by (\S+)%\. "
         r"Use numerics\.time_step_fraction: (\S+)\.$",
         sentences["steel-steel wall"],
     )
-    requested, velocity, step, reached, remedy = map(float, numbers.groups())
-    assert (requested, velocity) == (0.3, 2.0)
+    requested, velocity, step, reached, error, remedy = map(float, numbers.groups())
+    assert (requested, velocity) == (0.8, 2.0)
+    assert error == pytest.approx(100.0 * (0.64 - reached**2) / 0.36, abs=0.51)
     assert step == pytest.approx(plan_for(scene).time_step, rel=5e-3)
     rows, _ = measure(scene)
     fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
@@ -105,7 +107,7 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     path = tmp_path / "coarse.yaml"
     path.write_text(coarse_hertz().to_yaml(), encoding="utf-8")
     assert main(["restitution", str(path), "--out", str(tmp_path / "out")]) == 0
-    row = re.compile(r"(?:steel\S+(?: wall)?)? +([\d.]+) +0\.30000 +([\d.]+) +([+-][\d.]+)( \*)?")
+    row = re.compile(r"(?:steel\S+(?: wall)?)? +([\d.]+) +0\.80000 +([\d.]+) +([+-][\d.]+)( \*)?")
     shown = [found.groups() for line in capsys.readouterr().out.splitlines() if (found := row.match(line))]
     lines = (tmp_path / "out" / "restitution.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "pair,velocity,requested,min_reached,max_reached,difference"
@@ -113,8 +115,8 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     for line, (velocity, reached, percent, flag) in zip(lines[1:], shown, strict=True):
         numbers = [float(cell) for cell in line.split(",")[1:]]
         assert float(velocity) == pytest.approx(numbers[0], rel=1e-3)
-        assert float(reached) == pytest.approx(max(numbers[2:4], key=lambda e: abs(e - 0.3)), abs=1e-5)
-        assert float(percent) == pytest.approx(100.0 * (float(reached) / 0.3 - 1.0), abs=5e-3)
+        assert float(reached) == pytest.approx(max(numbers[2:4], key=lambda e: abs(e - 0.8)), abs=1e-5)
+        assert float(percent) == pytest.approx(100.0 * (float(reached) / 0.8 - 1.0), abs=5e-3)
         assert bool(flag) == (abs(float(percent)) > 1.0)
 
 
