@@ -236,7 +236,9 @@ class SweepInput(Model):
     sampling: Sampling = Field(Grid(), description="grid, latin_hypercube or sobol")
     repeat: Repeat = Field(Repeat(seeds=1), description="repetition of each point with other seeds")
     read: Annotated[tuple[Text, ...], ListOf(one=True, some="[mass_flow.outlet]")] = Field(
-        description="numbers of the result to read, as in the expect block of a scene"
+        (),
+        description="numbers of the result to read, as in the expect block of a scene; evaluate needs none",
+        examples=[["mass_flow.outlet"]],
     )
     evaluate: YieldLocusEvaluation | None = Field(
         None, description="evaluation of all runs together: yield loci and flow functions of shear tests"
@@ -263,6 +265,8 @@ class SweepInput(Model):
                 )
         yield from self._formula_faults()
         yield from self._repeated_keys()
+        if not self.read and self.evaluate is None:
+            yield missing(("read",), "numbers of the result to read, such as [mass_flow.outlet]")
         if self.evaluate is not None:
             for fault in self.evaluate.faults_of_parameters(tuple(self.vary)):
                 yield replace(fault, path=("evaluate", *fault.path))

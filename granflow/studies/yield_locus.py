@@ -369,6 +369,9 @@ def class_of(flowability: float) -> str:
 ABOVE_LINE = 0.05
 """Relative height of the preshear point above the line up to which it is taken to lie on the line: such
 points result from scatter; above it, the line is no yield locus of this preshear."""
+BELOW_LINE = 0.2
+"""Relative depth of the preshear point below the line from which on a remark says so: steady flow under the
+preshear is at the end of the yield locus, or little below it (Schulze 2008, ch. 4)."""
 
 
 def line_through(normal: np.ndarray, shear: np.ndarray) -> tuple[float, float, np.ndarray]:
@@ -389,12 +392,14 @@ def line_through(normal: np.ndarray, shear: np.ndarray) -> tuple[float, float, n
 class Locus:
     """The runs of one yield locus: values of the parameters that they share, points, the locus, and remarks.
 
-    line:  None if there is no yield locus; the remarks say why
+    regression:  the line through the points; None if they give none that rises
+    line:        it with its Mohr circles; None if there is no yield locus; the remarks say why
     """
 
     values: Mapping[str, Any]
     points: Sequence[ShearPoint]
     preshear: tuple[float, float] = (nan, nan)
+    regression: YieldLocus | None = None
     line: YieldLocus | None = None
     remarks: list[str] = field(default_factory=list)
 
@@ -446,6 +451,7 @@ def locus_of(values: Mapping[str, Any], points: Sequence[ShearPoint]) -> Locus:
                 f"the normal stress is below {line.least_normal:.4g} Pa, where the circle of the unconfined "
                 "yield strength touches the yield locus"
             )
+    locus.regression = line
     sigma, tau = locus.preshear
     excess = tau / (line.cohesion + line.slope * sigma) - 1.0
     if excess > ABOVE_LINE:
@@ -454,6 +460,12 @@ def locus_of(values: Mapping[str, Any], points: Sequence[ShearPoint]) -> Locus:
             "use larger samples, more seeds, or normal stresses at failure nearer to that of the preshear"
         )
         return locus
+    if excess < -BELOW_LINE:
+        locus.remarks.append(
+            f"the preshear point is {-100.0 * excess:.0f} % below the yield locus, but it is expected at its "
+            "end: a sample that fails far above its steady flow is overconsolidated; check the preshear, and "
+            "make the sample larger"
+        )
     if excess > 0.0:
         locus.remarks.append(
             f"the preshear point, {100.0 * excess:.1f} % above the yield locus, is taken to lie on it"
@@ -504,21 +516,25 @@ NUMBERS: Mapping[str, str] = {
 
 
 def numbers_of(locus: Locus) -> dict[str, float]:
-    """The NUMBERS of a yield locus by name; nan without one."""
+    """The NUMBERS of a yield locus by name; nan without one, or without Mohr circles."""
     found = dict.fromkeys(NUMBERS, nan)
     found["preshear_normal_stress"], found["preshear_shear_stress"] = locus.preshear
+    fit = locus.regression
+    if fit is not None:
+        found |= {
+            "cohesion": fit.cohesion,
+            "cohesion_error": float(np.sqrt(fit.covariance[0, 0])),
+            "friction_angle": degrees(fit.friction_angle),
+            "steady_state_friction_angle": degrees(fit.steady_angle),
+        }
     line = locus.line
     if line is not None:
         found |= {
-            "cohesion": line.cohesion,
-            "cohesion_error": float(np.sqrt(line.covariance[0, 0])),
-            "friction_angle": degrees(line.friction_angle),
             "consolidation_stress": line.consolidation_stress,
             "unconfined_yield_strength": line.unconfined_strength,
             "unconfined_yield_strength_error": line.unconfined_error,
             "flowability": line.flowability,
             "effective_friction_angle": degrees(line.effective_angle),
-            "steady_state_friction_angle": degrees(line.steady_angle),
         }
     return found
 
@@ -710,11 +726,14 @@ def _draw_loci(figure: Any, loci: Sequence[Locus]) -> None:
         )  # fmt: skip
         points = [(point.normal, point.shear) for point in locus.points] + [locus.preshear]
         right, top = (float(each) for each in np.nanmax([*points, (right, top)], axis=0))
+        fit = locus.regression
+        if fit is None:
+            continue
+        ends = np.array([0.0, sigma])
+        axes.plot(ends / KILO, (fit.cohesion + fit.slope * ends) / KILO, color=color)
         line = locus.line
         if line is None:
             continue
-        ends = np.array([0.0, sigma])
-        axes.plot(ends / KILO, (line.cohesion + line.slope * ends) / KILO, color=color)
         circles = ((line.center, line.radius), (line.unconfined_center, line.unconfined_center))
         for center, radius in circles:
             if radius > 0.0:

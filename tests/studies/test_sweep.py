@@ -54,6 +54,9 @@ def test_all_problems_are_reported_with_position_and_suggestion(tmp_path):
         "sweep.yaml:5:18: sampling.kind is sobl, but it must be one of grid, latin_hypercube, sobol. Did you "
         "mean sobol?",
     ]
+    assert problems_of(tmp_path, "scene: spheres.yaml\nvary: {a: [1]}\n") == [
+        "sweep.yaml:1:1: read is missing: numbers of the result to read, such as [mass_flow.outlet]."
+    ]
 
 
 @pytest.mark.parametrize(("text", "words"), [

@@ -197,18 +197,21 @@ def test_remarks_on_a_run(tmp_path, name, parts, remark):
         ({0.4: 1800.0}, "1 of 1 shear points are valid, and it needs two or more"),
         ({0.3: 2000.0, 0.6: 1500.0}, "its slope is -0.325"),
         ({0.3: 1000.0, 0.6: 1300.0, 0.7: 1400.0}, "the preshear point is 69 % above the yield locus"),
+        ({0.3: 2000.0, 0.6: 3500.0, 0.7: 4000.0}, "the preshear point is 48 % below the yield locus"),
         ({0.3: 1400.0, 0.7: 2400.0}, "two points have no error"),
         ({0.3: 700.0, 0.5: 1350.0, 0.8: 2300.0}, "the unconfined yield strength is 0"),
     ],
 )
 def test_remarks_on_a_locus(tmp_path, peaks, remark):
     """A line through (1500, 1000), (3000, 1300) and (3500, 1400), less 2.5 %, has 1657 Pa at 5000 Pa, and the
-    preshear 2800 Pa."""
+    preshear 2800 Pa; through (1500, 2000), (3000, 3500) and (3500, 4000) it has 5362 Pa there."""
     runs = [shear_test(tmp_path, f"{r}", r, peaked(r * PRESHEAR, peak)) for r, peak in peaks.items()]
     (locus,) = evaluate(TEST, runs)
     assert any(remark in each for each in locus.remarks), locus.remarks
     columns = locus_columns([locus])
-    assert (columns["cohesion [Pa]"] == [None]) == (locus.line is None)
+    has_regression = "is no yield locus" not in " ".join(locus.remarks)
+    assert (columns["cohesion [Pa]"] != [None]) == has_regression
+    assert (columns["consolidation_stress [Pa]"] == [None]) == (locus.line is None)
 
 
 def test_points_left_of_the_circle_of_the_strength_are_left_out(tmp_path):
@@ -237,7 +240,6 @@ evaluate:
   kind: yield_locus
   wall: lid
   parameters: {preshear: preshear, shear: ratio}
-read: [wall_pressure.lid]
 """
 
 
@@ -261,16 +263,16 @@ def write(folder, text=SWEEP):
          "stage preshear; a shear test needs one of each"),
         ("wall: lid", "wall: lid\n  stages: {shear: sheer}", "sweep.yaml:11:19: evaluate.stages.shear is sheer, "
          "but there is no such stage. Did you mean shear?"),
-        ("read:", "set: {output.wall_forces: [bottom], stages.2.until.quantity: wall_force_x.bottom, expect: []}\nread:",
+        ("evaluate:", "set: {output.wall_forces: [bottom], stages.2.until.quantity: wall_force_x.bottom, expect: []}\nevaluate:",
          "but output.wall_forces of the scene does not include it"),
-        ("read:", "set: {'walls.lid.motion.4.velocity': [0, 0.01, 0]}\nread:",
+        ("evaluate:", "set: {'walls.lid.motion.4.velocity': [0, 0.01, 0]}\nevaluate:",
          "servo or translation have other directions in the two stages"),
-        ("read:", "set: {'walls.lid.motion.2.velocity': [1, 0, 1], 'walls.lid.motion.4.velocity': [1, 0, 1]}\nread:",
+        ("evaluate:", "set: {'walls.lid.motion.2.velocity': [1, 0, 1], 'walls.lid.motion.4.velocity': [1, 0, 1]}\nevaluate:",
          "its translation is not perpendicular to the direction of its servo"),
     ],
 )  # fmt: skip
 def test_sweep_that_is_no_shear_test_is_refused(tmp_path, old, new, message):
-    text = SWEEP.replace(old, new).replace("[wall_pressure.lid]", "[kinetic_energy]")
+    text = SWEEP.replace(old, new)
     with pytest.raises(FileError, match=re.escape(message)):
         checked_points(read_sweep(write(tmp_path, text)), RunSettings(tmp_path, 1, "cpu", tmp_path / "stop"))
 
