@@ -32,8 +32,9 @@ from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.time_step import ImpactVelocity
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall
+from granflow.scene.blocks.gravity import AnyGravity, ChangingGravity
 from granflow.scene.blocks.insertions import TimedInsertion
-from granflow.scene.blocks.motions import poses_at
+from granflow.scene.blocks.motions import TimedMotion, poses_at
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.walls.wall import Wall
@@ -248,6 +249,18 @@ def value_rows(
             "rpm or 180 deg/s with the unit."
         )
         yield ("walls", name, "motion"), speed > FASTEST_SURFACE, text
+    for path, motion in chain(_wall_motions(scene), scene.gravity_motions()):
+        text = (
+            f": the motion begins at {motion.start_time:.3g} s, but the run ends at {end:.3g} s: it has no "
+            "effect. Start it earlier, or extend the run."
+        )
+        yield path, motion.start_time >= end, text
+    for path, begin, table in _gravity_tables(scene, times):
+        text = (
+            f": the table begins at {begin + table[0]:.3g} s, but the run ends at {end:.3g} s: its first "
+            "vector acts throughout. Start it earlier, or extend the run."
+        )
+        yield path, begin + table[0] >= end, text
     for first, second in combinations(plan.walls, 2):
         text = (
             f" has the same surface as walls.{first.name}: particles are in contact with walls.{first.name} "
@@ -323,6 +336,23 @@ def _coincide(first: PlannedWall, second: PlannedWall) -> bool:
     ]
     is_alike = first.motions == second.motions and presence[0] == presence[1]
     return is_alike and first.surface.has_same_place(second.surface)
+
+
+def _wall_motions(scene: Scene) -> Iterator[tuple[Path, TimedMotion]]:
+    """Each motion of a wall with its key path."""
+    for name, wall in scene.walls.items():
+        for index, motion in enumerate(wall.motion):
+            yield ("walls", name, "motion", index), motion
+
+
+def _gravity_tables(scene: Scene, times: StageTimes) -> Iterator[tuple[Path, float, Sequence[float]]]:
+    """Each table of gravity: key path, time [s] from which its times count, and these [s]."""
+    places: list[tuple[Path, float, AnyGravity | None]] = [(("gravity",), 0.0, scene.gravity)]
+    for index, stage in enumerate(scene.stages):
+        places.append((("stages", index, "gravity"), times[stage.name][0], stage.gravity))
+    for path, begin, gravity in places:
+        if isinstance(gravity, ChangingGravity) and gravity.times:
+            yield (*path, "times"), begin, gravity.times
 
 
 def _vibration_periods(scene: Scene) -> dict[float, str]:

@@ -246,18 +246,18 @@ def _json_number(number: float) -> float | None:
 _COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
 _TOTAL = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
-_WALL_FORCE_NAMES = {
-    "wall_force": "wall force, mean of the last stage",
-    "wall_force_last": "wall force at the end",
-    "wall_force_x_last": "wall force x at the end",
-    "wall_force_y_last": "wall force y at the end",
-    "wall_force_z_last": "wall force z at the end",
-    "wall_force_largest": "wall force, largest",
-    "wall_pressure": "wall pressure, mean of the last stage",
-    "wall_pressure_last": "wall pressure at the end",
-    "wall_pressure_largest": "wall pressure, largest",
+_WALL_FORCE_ROWS = {
+    "wall force, mean of the last stage": ("wall_force",),
+    "wall force (x, y, z), mean of the last stage": tuple(f"wall_force_{axis}" for axis in "xyz"),
+    "wall force (x, y, z) at the end": tuple(f"wall_force_{axis}_last" for axis in "xyz"),
+    "wall force, largest": ("wall_force_largest",),
+    "wall torque (x, y, z), mean of the last stage": tuple(f"wall_torque_{axis}" for axis in "xyz"),
+    "wall torque (x, y, z) at the end": tuple(f"wall_torque_{axis}_last" for axis in "xyz"),
+    "wall pressure, mean of the last stage": ("wall_pressure",),
+    "wall pressure at the end": ("wall_pressure_last",),
+    "wall pressure, largest": ("wall_pressure_largest",),
 }
-"""Totals and wall forces in the closing table, with their words; `result.json` contains all of them."""
+"""Rows of the closing table for each wall, and the numbers in each; `result.json` contains all of them."""
 
 
 def closing_table(result: Result, title: str = "Result") -> "Table":
@@ -325,12 +325,16 @@ def _value_and_unit(name: str, number: float) -> tuple[str, str]:
 
 
 def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
-    """Return the rows of forces and pressures: means of the last stage, and values at the end."""
+    """Return the rows of forces, torques and pressures: means of the last stage, and values at the end."""
     return [
-        (f"{words}, {wall}", readable(readings[name]), unit_of(f"{name}.{wall}"))
+        (
+            f"{words}, {wall}",
+            ", ".join(readable(readings[name]) for name in names),
+            unit_of(f"{names[0]}.{wall}"),
+        )
         for wall, readings in result.wall_forces.items()
-        for name, words in _WALL_FORCE_NAMES.items()
-        if name in readings
+        for words, names in _WALL_FORCE_ROWS.items()
+        if readings.keys() >= set(names)
     ]
 
 

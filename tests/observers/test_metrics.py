@@ -418,7 +418,8 @@ def test_height_of_a_level_bed_and_of_its_volume():
     """Layers of equal spheres at z = (2 k + 1) r, and one sphere that falls above them.
 
     Below the level z, a full layer and the cap pi h^2 (r - h / 3) of the next one lie. The share 0.9 of 41
-    spheres is 36.9, 4.9 of the fifth layer with 8 spheres: the cap has 0.6125 of the volume of a sphere.
+    spheres is 36.9, 4.9 of the fifth layer with 8 spheres: the cap has 0.6125 of the volume of a sphere. If
+    those 8 are spheres of clumps with half of their mass, the share is 33.3 of 37, 1.3 of 4.
     """
     radius = 0.01
     x, y, layer = np.meshgrid(np.arange(4), np.arange(2), np.arange(5), indexing="ij")
@@ -428,8 +429,8 @@ def test_height_of_a_level_bed_and_of_its_volume():
     contacts[-1] = 0
     scene = scene_with(level={"kind": "height", "base": -0.5, "share": 0.9})
     particles = particles_of(
-        41, position=center[:, [0, 2, 1]], radius=np.full(41, radius), fixed=np.zeros(41),
-        coordination_number=contacts
+        41, position=center[:, [0, 2, 1]], radius=np.full(41, radius), fixed=np.zeros(41), mass=np.ones(41),
+        material=np.zeros(41, int), coordination_number=contacts
     )  # fmt: skip
     meter = metric_meters(plan_for(scene))["level"]
     meter.update(snapshot_of(particles=particles))
@@ -437,6 +438,10 @@ def test_height_of_a_level_bed_and_of_its_volume():
     assert found["bed_height"] == found["heap_height"] == pytest.approx(0.5 + 10 * radius)
     h = (found["height_of_volume"] - 0.5) / radius - 8.0
     assert h**2 * (3.0 - h) / 4.0 == pytest.approx(0.6125)
+    particles["mass"][:40][layer.ravel() == 4] = 0.5
+    meter.update(snapshot_of(particles=particles))
+    h = (meter.readings()["height_of_volume"] - 0.5) / radius - 8.0
+    assert h**2 * (3.0 - h) / 4.0 == pytest.approx(0.325)
     particles["coordination_number"][:] = 0
     meter.update(snapshot_of(particles=particles))
     assert np.isnan(meter.readings()["bed_height"])

@@ -46,9 +46,11 @@ def test_json_is_strict_and_contains_the_same_numbers(tmp_path):
 def test_table_shows_the_timings():
     console = Console(width=100, record=True, file=io.StringIO())
     angles = {"heap": {"angle_of_repose": 0.4, "angle_of_repose_error": float("nan")}}
-    console.print(closing_table(replace(RESULT, metrics=angles)))
+    torque = {f"wall_torque_{axis}": value for axis, value in zip("xyz", (0.5, -0.25, 0.0), strict=True)}
+    console.print(closing_table(replace(RESULT, metrics=angles, wall_forces={"screw": torque})))
     text = console.export_text()
-    pieces = ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000", "rad (22.92 deg)")
+    pieces = ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000", "rad (22.92 deg)", "0.5, -0.25, 0",
+              "wall torque (x, y, z), mean of the last stage, screw")  # fmt: skip
     for piece in pieces:
         assert piece in text
     assert "nan" not in text.lower(), "a quantity without a value is a dash"

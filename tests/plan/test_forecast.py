@@ -354,6 +354,24 @@ def test_insertion_is_reported_if_it_starts_after_the_run_but_not_if_the_run_end
     assert warnings_of(build_scene({"rain": rain}, run={"duration": 0.3})) == []
 
 
+TURN = {"kind": "rotation", "axis": [0, 1, 0], "angular_velocity": 1.0, "start": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("key", "parts"),
+    [
+        ("walls.floor.motion.0", {"walls": {"floor": plane([0, 0, -0.1], [0, 0, 1], motion=TURN | {"point": [0] * 3})}}),
+        ("gravity.motion.0", {"gravity": {"vector": [0, 0, -9.81], "motion": TURN}}),
+        ("gravity.times", {"gravity": {"times": [0.2, 0.4], "vectors": [[0, 0, -9.81], [0, 0, -1]]}}),
+    ],
+)  # fmt: skip
+def test_motion_that_begins_after_the_run_is_reported(key, parts):
+    groups = {"ball": particle_group([[0.0, 0.0, 0.0]], 0.01)}
+    (warning,) = warnings_of(build_scene(groups, run={"duration": 0.1, "velocity_max": 1.0}, **parts))
+    assert warning.startswith(key) and " begins at 0.2 s, but the run ends at 0.1 s" in warning
+    assert warnings_of(build_scene(groups, run={"duration": 0.3, "velocity_max": 1.0}, **parts)) == []
+
+
 def test_servo_that_its_gain_slows_down_is_reported():
     """Without contacts the servo moves at gain F = 1e-3 m/(s N) * 5.76 N, whatever velocity_max permits.
 

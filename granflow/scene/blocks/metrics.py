@@ -27,7 +27,6 @@ from granflow.fields import (
     Quantity,
 )
 from granflow.geometry.coarse_grid import CoarseGrid
-from granflow.geometry.sphere import sphere_volume
 from granflow.geometry.vectors import frame_along
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.grids import GridSpec
@@ -138,6 +137,11 @@ class Metric(Model):
 
 MIN_CONTACTS = 2
 """Smallest number of contacts, with particles and walls, of a particle that carries a load."""
+
+
+def _volume(particles: Mapping[str, np.ndarray], scene: MeasuredScene) -> np.ndarray:
+    """Volume (n,) [m3] of particles; of a sphere of a clump its part of the clump, without overlaps."""
+    return np.asarray(particles["mass"].astype(float) / np.array(scene.densities)[particles["material"]])
 
 
 def _wall_contacts(particles: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -352,7 +356,7 @@ class SegregationMetric(TwoComponentGrid):
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`."""
         particles = mobile_particles(snapshot.particles)
-        volume = sphere_volume(particles["radius"].astype(float))
+        volume = _volume(particles, scene)
         is_first = self.is_first(particles, scene)
         arguments = particles["position"], volume, is_first, self.grid_in(scene.domain)
         return Reading(
@@ -566,20 +570,21 @@ class ReposeMetric(Metric):
 # Height of a bed or heap
 
 
-def height_of_share(height: np.ndarray, radius: np.ndarray, share: float) -> float:
-    """The height [m] below which a share of the volume of spheres lies; NaN without spheres.
+def height_of_share(height: np.ndarray, radius: np.ndarray, volume: np.ndarray, share: float) -> float:
+    """The height [m] below which a share of the volume of particles lies; NaN without particles.
 
-    height (n,): of the centers [m]; radius (n,) [m]; share: above 0, at most 1. A sphere that the level cuts
-    counts with its cap of the height h, pi h^2 (r - h/3). The root is found by bisection.
+    height (n,): of the centers of spheres [m]; radius (n,) [m]; volume (n,) [m3]: of each sphere, or its part
+    of the volume of a clump, without overlaps; share: above 0, at most 1. A sphere that the level cuts counts
+    with the share of its cap of the height h, pi h^2 (r - h/3). The root is found by bisection.
     """
     if not len(height):
         return float("nan")
     low = float((height - radius).min())
     high = float((height + radius).max())
-    wanted = share * float(sphere_volume(radius).sum())
+    wanted = share * float(volume.sum())
     while (middle := 0.5 * (low + high)) not in (low, high):
-        cap = np.clip(middle - height + radius, 0.0, 2.0 * radius)
-        if float((np.pi * cap**2 * (radius - cap / 3.0)).sum()) < wanted:
+        cap = np.clip(0.5 * (middle - height + radius) / radius, 0.0, 1.0)
+        if float((volume * cap**2 * (3.0 - 2.0 * cap)).sum()) < wanted:
             low = middle
         else:
             high = middle
@@ -624,6 +629,7 @@ class HeightMetric(Metric):
         particles = selected(particles, _inside(particles["position"], self.region))
         points = particles["position"].astype(float) @ frame.T
         radius = particles["radius"].astype(float)
+        volume = _volume(particles, scene)
         rests = particles["coordination_number"] + _wall_contacts(particles) >= MIN_CONTACTS
         tops: np.ndarray = np.zeros(0)
         if rests.any():
@@ -632,7 +638,7 @@ class HeightMetric(Metric):
         numbers = {
             "bed_height": _mean(tops) - self.base,
             "heap_height": float(tops.max(initial=-np.inf)) - self.base if len(tops) else float("nan"),
-            "height_of_volume": height_of_share(points[:, 2], radius, self.share) - self.base,
+            "height_of_volume": height_of_share(points[:, 2], radius, volume, self.share) - self.base,
         }
         remark = "the height of the bed is NaN: no particle in the region has two contacts"
         return Reading(numbers, "" if len(tops) else remark)
@@ -895,7 +901,7 @@ class ContentMetric(Metric):
             {
                 "content_count": float(len(mass)),
                 "content_mass": float(mass.sum()),
-                "content_volume": float((mass / np.array(scene.densities)[inside["material"]]).sum()),
+                "content_volume": float(_volume(inside, scene).sum()),
             }
         )
 
