@@ -74,6 +74,17 @@ class DeviceObject:
         """Raise TypeError if the device function `name` returned other values than its callers expect."""
 
 
+def kind_of(value: Any) -> str:
+    """Kind of a value of a device function while it is compiled."""
+    if value is None:
+        return "nothing"
+    if hasattr(value, "keys"):
+        return "history"
+    if hasattr(value, "is_tensor") and value.is_tensor():
+        return "vector" if tuple(value.get_shape()) == (3,) else "matrix"
+    return "number"
+
+
 def at_compile_time(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator for a Python function that a device function calls while it is compiled, with expressions as
     values."""

@@ -47,7 +47,7 @@ from pydantic import Field
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
 from granflow.contact.particle_equation import MaterialProperties
-from granflow.device_functions import DeviceObject, is_from_outside, ti
+from granflow.device_functions import DeviceObject, is_from_outside, kind_of, ti
 from granflow.fields import Quantity
 from granflow.schema.faults import Fault
 from granflow.schema.model import Model, example_of
@@ -322,11 +322,14 @@ class Law(DeviceObject):
 
         A history must have the fields of `history`.
         """
+        if name in FLOW_FUNCTIONS:
+            self._refuse_flows(name, result)
+            return
         expected = self.returns.get(name)
         if expected is None:
             return
         values = result if isinstance(result, list | tuple) else [result]
-        kinds = tuple(_kind(value) for value in values)
+        kinds = tuple(kind_of(value) for value in values)
         if kinds != expected:
             found = ", ".join(kinds) or "nothing"
             raise TypeError(f"{name} must return ({', '.join(expected)}), not ({found})")
@@ -336,6 +339,16 @@ class Law(DeviceObject):
                     f"{name} must return the history with its fields ({', '.join(self.history_names)})"
                 )
 
+    def _refuse_flows(self, name: str, result: Any) -> None:
+        """Raise TypeError unless a function returned a struct with a number for each of `flows`."""
+        keys = tuple(getattr(result, "keys", ()))
+        if set(keys) != set(self.flows):
+            raise TypeError(f"{name} must return a ti.Struct with its flows ({', '.join(self.flows)})")
+
+
+FLOW_FUNCTIONS = ("flow", "wall_flow", "surroundings_flow")
+"""Device functions that return a struct of `Law.flows`."""
+
 
 def _with_signs(value: Any) -> Any:
     """A record with the sign, 1.0, 0.0 or -1.0, in place of each number; other values remain."""
@@ -343,17 +356,6 @@ def _with_signs(value: Any) -> Any:
         signs = {each.name: _with_signs(getattr(value, each.name)) for each in fields(value)}
         return replace(value, **signs)  # type: ignore[type-var]
     return math.copysign(value != 0.0, value) if isinstance(value, float) else value
-
-
-def _kind(value: Any) -> str:
-    """Kind of a value of a device function while it is compiled."""
-    if value is None:
-        return "nothing"
-    if hasattr(value, "keys"):
-        return "history"
-    if hasattr(value, "is_tensor") and value.is_tensor():
-        return "vector" if tuple(value.get_shape()) == (3,) else "matrix"
-    return "number"
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ is one file, and an entry of the list in `granflow.contact.registry`; a program 
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from granflow.device_functions import DeviceObject, ti
+from granflow.device_functions import DeviceObject, kind_of, ti
 from granflow.fields import FieldSpec, Quantity
 from granflow.schema.model import Model
 from granflow.schema.quantities import Number
@@ -61,6 +61,15 @@ class ParticleEquation(DeviceObject):
         flows:      sum of each flow in `flows` over the contacts of the particle, by name; of a clump over
                     those of all its spheres
         """
+
+    def title(self) -> str:
+        """The equation in messages."""
+        return f"the equation of the {self.name}"
+
+    def refuse_result(self, name: str, result: Any) -> None:
+        """Raise TypeError if `rate` returned something else than a number."""
+        if name == "rate" and kind_of(result) != "number":
+            raise TypeError(f"rate must return one number [{self.unit} / s]")
 
     def longest_time_step(
         self, constants: Mapping[str, float], radius: float, mass: float, slope: float

@@ -38,6 +38,7 @@ from granflow.plan.pair_case import PairCase
 from granflow.plan.plan import Plan
 from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.run import LARGEST_OVERLAP
+from granflow.visible_text import alternatives
 
 AT_REST = 1e-9
 """Speed [m/s] below which messages report `at rest`."""
@@ -383,6 +384,15 @@ def _flow(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     )
 
 
+def _rate(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """A property that a particle equation integrates is not finite."""
+    names = alternatives(tuple(each.name for each in plan.scene.equations))
+    return (
+        f"the {names} of {diagnosis.body} at {time:.6g} s is not a finite number: its equation gives such a "
+        "rate. Correct the function rate, for example a division by zero, or the values that it reads."
+    )
+
+
 def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Displacement of a force-controlled wall in one step above the limit."""
     slower = next(
@@ -416,6 +426,7 @@ _REASONS = {
     "far": _far,
     "liquid": _liquid,
     "flow": _flow,
+    "rate": _rate,
 }
 
 # Cause and remedies of an overlap above the limit: an impact, a static load, a pressing wall, or cohesion.

@@ -18,6 +18,8 @@ ABORT_LIQUID = 8
 """Bridges have taken more liquid from a film than it had."""
 ABORT_FLOW = 9
 """A sum that a contact model declares is above its range."""
+ABORT_RATE = 10
+"""A particle equation gives a property a value that is not finite."""
 ABORT_REASONS = {
     ABORT_FORCE: "force",
     ABORT_DISPLACEMENT: "displacement",
@@ -28,6 +30,7 @@ ABORT_REASONS = {
     ABORT_FAR: "far",
     ABORT_LIQUID: "liquid",
     ABORT_FLOW: "flow",
+    ABORT_RATE: "rate",
 }
 """Reason of each code, as in Diagnosis.reason."""
 FORCE_REASONS = frozenset({"force", "displacement", "not_finite", "overlap"})

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.codes import ABORT_FLOW
+from granflow.engine.codes import ABORT_FLOW, ABORT_RATE
 from granflow.engine.pair import member
 from granflow.engine.state import State
 from granflow.engine.sums import build_to_grid, carried, exact_totals, shares_rows, to_units
@@ -315,7 +315,11 @@ class Flows:
             found = ti.Struct(
                 {name: self._flow_of_body(i, dt, name, field) for name, field in ti.static(sums)}
             )
-            values[i] = values[i] + ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
+            changed = values[i] + ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
+            values[i] = changed
+            if not changed - changed == 0.0:  # infinite, or not a number
+                ti.atomic_max(self.control.abort[0], ABORT_RATE)
+                ti.atomic_min(self.control.abort_particle[0], self.particles.id[i])
 
     @ti.func
     def _add_to_wall(self, chunk, w, k: ti.template(), amount, ahead: ti.template()):

@@ -35,6 +35,8 @@ MOST_COMMENTS = 100
 """Number of lines that may precede the header."""
 SEPARATORS = (";", ",", "\t", None)
 """Separators of input tables, in the order in which they are tried; None stands for white space."""
+SEPARATOR_LINE = re.compile('"?sep=(.)"?', re.IGNORECASE)
+"""First line of a table that names the separator."""
 UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 """The unit in brackets at the end of a column name."""
 
@@ -121,9 +123,12 @@ def table_in(
 
     The header is the first line that is not empty and not a comment, or a comment before it whose names
     `is_header` accepts. The separator is the first of those in the header with accepted names, otherwise the
-    first of them. Raises FileError for a row that is not CSV, and for a header with a name twice.
+    first of them; a first line sep=; as spreadsheets write it names another one. Raises FileError for a row
+    that is not CSV, and for a header with a name twice.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
+    if lines and (found := SEPARATOR_LINE.fullmatch(lines[0][1].strip())):
+        lines, separators = lines[1:], (found[1],)
     for index, (n, line) in enumerate(lines[:MOST_COMMENTS]):
         is_comment = _is_comment(line)
         heading = line.strip().lstrip(COMMENT) if is_comment else line

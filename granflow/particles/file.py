@@ -142,8 +142,12 @@ def _read(path: Path, changed: int, size: int, needs_header: bool) -> ParticleTa
             shown.append(f"{path}: {more} more rows have problems, which are not shown.")
         raise SceneError(shown)
     if not len(table):
-        raise SceneError(f"{path}: the file contains no particles.")
+        raise SceneError(f"{path}: the file contains no {_content(needs_header)}.")
     return table
+
+
+def _content(is_of_particles: bool) -> str:
+    return "particles" if is_of_particles else "spheres"
 
 
 def _value_problems(table: ParticleTable) -> Iterator[RowProblem]:
@@ -207,9 +211,10 @@ def _text(path: Path, needs_header: bool) -> tuple[ParticleTable, list[RowProble
     header."""
     table = table_in(read_text(path), path, SEPARATORS, _is_header)
     if table is None:
-        raise SceneError(f"{path}: the file contains no particles.")
+        raise SceneError(f"{path}: the file contains no {_content(needs_header)}.")
     expected = f"the header has {len(table.names)} columns"
-    if not needs_header and len(table.names) == len(PLAIN_COLUMNS) and all(map(is_number, table.names)):
+    first_row = [name if table.separator == "," else name.replace(",", ".") for name in table.names]
+    if not needs_header and len(first_row) == len(PLAIN_COLUMNS) and all(map(is_number, first_row)):
         expected = f"{', '.join(PLAIN_COLUMNS)} are expected"
         first = (table.heading_line, list(table.names))
         table = replace(table, names=PLAIN_COLUMNS, heading_line=0, rows=(first, *table.rows))

@@ -58,6 +58,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         unreachable_walls(scene, plan.walls, times),
         region_findings(plan, times),
         servo_findings(plan, times),
+        sideways_findings(plan),
         flow_findings(plan),
         fixed_findings(plan),
         gap_findings(plan),
@@ -543,6 +544,28 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
                 f"{limit}, for {duration:.3g} s), but the bed is about {distance:.3g} m away: it does not "
                 f"reach {first.force:.3g} N. "
                 f"{first.spec.remedy_of_distance(first.numbers, distance, duration)}",
+            )
+
+
+def sideways_findings(plan: Plan) -> Iterator[Finding]:
+    """Servos whose force acts along the surface of their wall, to which no particles are attached."""
+    scene = plan.scene
+    held = {group.attached_to for group in scene.particles.values()}
+    for motion in plan.controlled_motions:
+        points, triangles = plan.walls[motion.wall].surface.triangles(np.zeros(3), 1.0)
+        corners = points[triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        given = scene.walls[motion.name].motion[motion.motion]
+        if (
+            given.follows_force
+            and motion.name not in held
+            and np.abs(normals @ motion.direction).max() < LEVEL
+        ):
+            yield (
+                ("walls", motion.name, "motion", motion.motion),
+                ": its direction is along the surface of the wall, so that only friction can balance the "
+                f"force of the servo. A direction across the surface is {_vector_text(normals[0])}.",
             )
 
 

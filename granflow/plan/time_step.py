@@ -17,7 +17,6 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.contact.material import Solid
-from granflow.contact.theory import LOSS_TOLERANCE, loss_error
 from granflow.load import Scene
 from granflow.plan.pair_case import PairCase
 from granflow.plan.walls import surface_speed
@@ -206,8 +205,7 @@ def rayleigh_time(solid: Solid, radius: float) -> float:
 def _restitution_reached(
     step: TimeStep, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float
 ) -> tuple[float, tuple[str, ...]]:
-    """Smallest restitution that the step can reproduce, and a sentence per material pair that requires less
-    by so much that the energy lost in a collision has an error above LOSS_TOLERANCE.
+    """Smallest restitution that the step can reproduce, and a sentence per material pair that requires less.
 
     `step` without both results, `velocity` [m/s]. The sentence of a pair names its contact with the largest
     difference; contacts that cannot occur are ignored. (0, ()) for a contact model that reproduces every
@@ -223,9 +221,7 @@ def _restitution_reached(
         required = law.restitution(*pair_arguments)
         least = max(least, bound)
         key = pair_case.pair_key
-        if key is None or required >= bound or loss_error(bound, required) <= LOSS_TOLERANCE:
-            continue
-        if key not in worst or bound > worst[key][0]:
+        if key is not None and required < bound and (key not in worst or bound > worst[key][0]):
             worst[key] = (bound, required, pair_case.name)
     return least, tuple(_shortfall(key, *found, velocity, step) for key, found in worst.items())
 

@@ -281,6 +281,8 @@ def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
     if len(particles) and (sizes.min() < smallest * (1 - ROUNDING) or sizes.max() > largest * (1 + ROUNDING)):
         found.append(
             f"{group.locate('diameter')}: particles.{name}.diameter lies in [{smallest:.6g}, "
-            f"{largest:.6g}] m, but start_from has diameters in [{sizes.min():.6g}, {sizes.max():.6g}] m."
+            f"{largest:.6g}] m, but {name} of the run in start_from has diameters in [{sizes.min():.6g}, "
+            f"{sizes.max():.6g}] m. Particles of that run keep their sizes: give its diameter, or insert "
+            "those of this size as another group."
         )
     return found

@@ -736,7 +736,17 @@ def residence_time(parts: PartialScene) -> Iterator[Fault]:
 
 def metrics(parts: PartialScene) -> Iterator[Fault]:
     """What the kinds of metrics require of the scene, such as existing groups, or gravity."""
+    domain = parts.scene.domain
     for name, metric in parts.scene.output.metrics.items():
+        region = getattr(metric, "region", None)
+        if isinstance(region, Box) and domain.on_exit != "expand":
+            sides = zip(region.min, region.max, domain.min, domain.max, strict=True)
+            if any(high <= lower or low >= upper for low, high, lower, upper in sides):
+                reason = (
+                    "lies outside the domain, so that it never contains a particle; move it, or remove it"
+                )
+                yield whole(("output", "metrics", name, "region"), reason)
+                continue
         for fault in metric.faults_in(parts):
             yield replace(fault, path=("output", "metrics", name, *fault.path))
 

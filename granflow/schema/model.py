@@ -327,6 +327,7 @@ Text = Annotated[str, BeforeValidator(require(_is_text, "text is expected; put i
 """Text as in the file; numbers and flags are not converted."""
 FileName = Annotated[
     Text,
+    AfterValidator(require(bool, "the name of a file is expected")),
     AfterValidator(
         require(
             _is_visible,

@@ -282,12 +282,11 @@ def _impact(plan: Plan, pair: Collision, velocity: float) -> _Impact:
 
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
-    """Whether the given restitution is 0, or so far below the minimum of the time step that the plan has a
+    """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a
     warning."""
     if not plan.laws.normal.limits_restitution or impact.requested == 0.0:
         return impact.requested == 0.0
-    least = plan.laws.normal.least_restitution(*impact.arguments, plan.time_step)
-    return impact.requested < least and loss_error(least, impact.requested) > LOSS_TOLERANCE
+    return impact.requested < plan.laws.normal.least_restitution(*impact.arguments, plan.time_step)
 
 
 def _simulated(plan: Plan, impact: _Impact) -> float:

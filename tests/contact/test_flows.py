@@ -14,7 +14,7 @@ from granflow.contact.law import ContactModel, Flow, PairProperties
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation
 from granflow.device_functions import ti
-from granflow.errors import GranflowError, RunError, SceneError
+from granflow.errors import FunctionError, GranflowError, RunError, SceneError
 from granflow.plan.build import plan_for
 from granflow.scene.registration import (
     unregister_contact_model,
@@ -298,6 +298,51 @@ def test_a_normal_model_acts_without_the_values_of_its_properties():
 def test_an_equation_that_is_not_valid_is_refused(changes, message):
     with pytest.raises(GranflowError, match=message):
         register_particle_equation(type("Other", (Potential,), changes)())
+
+
+class VectorRate(Potential):
+    @ti.func
+    def rate(self, constants, particle, flows):
+        return ti.Vector([flows.current, 0.0, 0.0])
+
+
+class InfiniteRate(Potential):
+    @ti.func
+    def rate(self, constants, particle, flows):
+        return particle.mass / (particle.value - particle.value)
+
+
+@dataclass(frozen=True)
+class OtherFlow(Conducting):
+    @ti.func
+    def flow(self, constants, contact, first, partner):
+        return ti.Struct(charge=constants.conductance)
+
+
+@pytest.mark.parametrize(
+    ("equation", "law", "error", "message"),
+    [
+        (VectorRate(), Conducting, FunctionError, "The function rate of the equation of the potential cannot be "
+         r"compiled: \S*test_flows.py:\d+: rate must return one number \[V / s\]"),
+        (EQUATION, OtherFlow, FunctionError, "The function flow of the contact model conducting cannot be "
+         r"compiled: \S*test_flows.py:\d+: flow must return a ti.Struct with its flows \(current\)"),
+        (InfiniteRate(), Conducting, RunError, r"the potential of .* is not a finite number"),
+    ],
+)  # fmt: skip
+def test_functions_that_return_something_else_are_reported(equation, law, error, message):
+    model = ContactModel(law, "Hertz contacts that conduct", pair_properties=ConductancePair)
+    unregister_contact_model(MODELS[0])
+    unregister_particle_equation(EQUATION)
+    register_contact_model(model)
+    register_particle_equation(equation)
+    try:
+        with pytest.raises(error, match=message), Simulation(scene_of(PAIR, (HIGH, LOW)), threads=2) as run:
+            run.step(2)
+    finally:
+        unregister_particle_equation(equation)
+        unregister_contact_model(model)
+        register_contact_model(MODELS[0])
+        register_particle_equation(EQUATION)
 
 
 @pytest.mark.slow

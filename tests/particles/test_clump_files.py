@@ -23,6 +23,7 @@ FILES = {
     "mercury.csv": rows(",", 0, 1, 2, 3),
     "tabs.txt": rows("\t", 0, 1, 2, 3),
     "header.csv": "radius;z;y;x\n" + rows(";", 3, 2, 1, 0),
+    "spreadsheet.csv": "sep=;\n" + rows(";", 0, 1, 2, 3).replace(".", ","),
     "units.csv": "x [mm],y [mm],z [mm],r [mm]\n" + rows(",", 0, 1, 2, 3),
 }
 

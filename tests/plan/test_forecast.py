@@ -398,7 +398,9 @@ def test_servos_across_gravity_or_after_another_motion_have_no_forecast(directio
     lowering = {"kind": "translation", "velocity": [0, 0, -0.5], "end": 0.05}
     walls["lid"]["motion"] = [lowering, servo] if is_lowered else [servo]
     is_forecast = direction == [0, 0, -1] and not is_lowered
-    assert any("the bed is about" in each for each in warnings_of(bed(1e9, walls=walls))) == is_forecast
+    found = warnings_of(bed(1e9, walls=walls))
+    assert any("the bed is about" in each for each in found) == is_forecast
+    assert any("only friction can balance" in each for each in found) == (direction == [1, 0, 0])
 
 
 def test_servos_of_different_stages_do_not_add_their_speeds():

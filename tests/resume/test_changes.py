@@ -267,7 +267,10 @@ def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):
         gf.Simulation(falling(groups=small, start_from=str(checkpoint.path.parent)))
     count, size = error.value.problems
     assert count.endswith("particles.balls.count is 1, but start_from has 4 particles.")
-    assert size.endswith("diameter lies in [0.008, 0.008] m, but start_from has diameters in [0.01, 0.01] m.")
+    assert (
+        "diameter lies in [0.008, 0.008] m, but balls of the run in start_from has diameters in [0.01, 0.01] m. "
+        in size
+    )
     parts = {
         "domain": {"min": [-0.02] * 3, "max": [0.01, 0.02, 0.02], "on_exit": "delete"},
         "groups": {"ball": particle_group([0.0, 0.0, 0.01], velocity=[1.0, 0.0, 0.0])},

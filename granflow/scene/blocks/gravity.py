@@ -176,11 +176,19 @@ class ChangingGravity(Model):
                 return
 
 
+def _gravity_tag(value: Any) -> str | None:
+    """The form of gravity; None for a number or text."""
+    if isinstance(value, int | float | str):
+        return None
+    return "<changing>" if isinstance(value, dict | ChangingGravity) else "<list>"
+
+
 Gravity = Annotated[
     Annotated[q.AccelerationVector, Tag("<list>")] | Annotated[ChangingGravity, Tag("<changing>")],
     choose_by(
-        lambda value: "<changing>" if isinstance(value, dict | ChangingGravity) else "<list>",
-        "a vector or a mapping is expected",
+        _gravity_tag,
+        "a vector is expected, [0, 0, -9.81], or how it changes, {vector: [0, 0, -9.81], motion: {kind: "
+        "rotation, axis: [0, 1, 0], angular_velocity: 1 deg/s}}",
     ),
 ]
 """A constant vector, or gravity that changes."""

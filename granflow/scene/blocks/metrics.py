@@ -793,11 +793,17 @@ class StressMetric(Metric):
         if self.region is None:
             return
         domain = parts.scene.domain
-        for axis in domain.periodic:
-            k = "xyz".index(axis)
-            if (self.region.min[k], self.region.max[k]) != (domain.min[k], domain.max[k]):
-                reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
-                yield whole(("region",), f"must extend from {reach} in {axis}, where the domain is periodic")
+        for k, axis in enumerate("xyz"):
+            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
+            if axis in domain.periodic:
+                if (self.region.min[k], self.region.max[k]) != (domain.min[k], domain.max[k]):
+                    reason = f"must extend from {reach} in {axis}, where the domain is periodic"
+                    yield whole(("region",), reason)
+            elif domain.on_exit != "expand" and (
+                self.region.min[k] < domain.min[k] or self.region.max[k] > domain.max[k]
+            ):
+                given = f"from {self.region.min[k]:g} to {self.region.max[k]:g} m in {axis}"
+                yield whole(("region",), f"extends {given}, beyond the domain, {reach}: no particle is there")
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; fixed particles have no kinetic part."""

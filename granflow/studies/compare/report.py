@@ -203,7 +203,7 @@ def size_note(found: SceneComparison) -> str:
         counts = ", ".join(
             f"{count} of {found.scene.particles[name].count} {name}" for name, count in found.reduced.items()
         )
-        text = f"For a short run time the scene is reduced to {counts}; --full runs all particles."
+        text = f"To shorten the runs, the scene has only {counts}; --full runs all particles."
     return text + (f" Every run ends at {found.until:g} s." if found.until is not None else "")
 
 
@@ -220,8 +220,8 @@ def stop_notes(found: SceneComparison) -> list[str]:
 def stage_note(found: SceneComparison) -> str:
     """Sentence on the stage of the starred rows."""
     return (
-        f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all "
-        "frames of it."
+        f"Rows with a star (*) refer to the end of the stage {densest_stage(found.runs)}, which has the most "
+        "contacts; those on forces to all frames of this stage."
     )
 
 
