@@ -150,7 +150,7 @@ def _refuse_repetition(names: Sequence[str], path: Path, line: int) -> None:
     found: dict[str, str] = {}
     for name in names:
         plain = name.partition("[")[0].strip().lower()
-        if plain in found and plain and not is_number(plain):
+        if plain in found and plain and not is_number(plain.replace(",", ".")):
             both = f"{name} twice" if found[plain] == name else f"both {found[plain]} and {name}"
             raise FileError(f"{path}:{line}: the header has {both}; keep one of the columns.")
         found[plain] = name

@@ -196,3 +196,18 @@ def test_gallery_contains_every_scene_and_every_comparison():
     pictures = set(re.findall(r"""[("]gallery/([\w.]+)[)"]""", page))
     assert pictures == {path.name for path in gallery.PICTURES.iterdir()}
     assert sum(path.stat().st_size for path in gallery.PICTURES.iterdir()) < 4e6, "the repository stays small"
+
+
+def test_first_names_of_keys_commands_and_classes_are_links():
+    """Not in headings, links and blocks of code, and not for words that have other meanings."""
+    text = (
+        "# `output.fields`\nSet `output.wall_forces: true`, [`pairs`](x.md) and `run`; `gf.Servo(...)` moves.\n"
+        "```\n`stages`\n```\nAgain `output.wall_forces`, `walls.vtu`; `granflow check SCENE`, `stages`."
+    )
+    found = docsite("reference_links").linked(text, "guides/page.md")
+    assert found == (
+        "# `output.fields`\nSet [`output.wall_forces: true`](../reference/scene/output.md#output-wall-forces), "
+        "[`pairs`](x.md) and `run`; [`gf.Servo(...)`](../reference/python/Servo.md) moves.\n```\n`stages`\n```\n"
+        "Again `output.wall_forces`, `walls.vtu`; [`granflow check SCENE`](../reference/commands.md#check), "
+        "[`stages`](../reference/scene/stages.md)."
+    )

@@ -84,7 +84,7 @@ CASES = [
     ("0 0 0 1\n1 0 0\n", "stone.csv:2: the row has 3 values, but x, y, z, r are expected."),
     ("0 0 0\n1 0 0\n", "stone.csv:1: the first line must have the numbers x, y, z and r of a sphere, or be a header"),
     ("0 0 0 1\n1 0 0 1e300\n", "stone.csv:2: a length of this magnitude is out of range."),
-    ("", "stone.csv: the file contains no particles."),
+    ("", "stone.csv: the file contains no spheres."),
     ("0 0 0 1\n" * 101, "particles.stones.clump.file is stone.csv, which cannot be used: it has 101 spheres"),
     (None, "particles.stones.clump.file is stone.csv, which cannot be used: there is no such file"),
 ]  # fmt: skip

@@ -1,7 +1,7 @@
 """Events of MkDocs: adds the generated pages and pictures, inserts facts of contact models, and converts
 formulas.
 
-Numbers of publications (DOI) become links. CHANGELOG.md and the page of the benchmark are copied from their places in the
+Numbers of publications (DOI), and keys, commands and classes in code (`reference_links`) become links. CHANGELOG.md and the page of the benchmark are copied from their places in the
 repository. A page contains `<!-- contact model NAME -->` or `<!-- contact models -->` where facts of the registry belong,
 and `<!-- import tables -->` where those of the importer belong.
 """
@@ -26,6 +26,7 @@ from docsite import (  # noqa: E402
     model_pictures,
     notebook_pages,
     quantity_pages,
+    reference_links,
     scene_reference,
 )
 
@@ -130,7 +131,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     markdown = MODEL.sub(lambda found: model_pages.facts(found[1]), markdown)
     if import_tables.MARK in markdown:
         markdown = markdown.replace(import_tables.MARK, import_tables.tables())
-    return with_links(COMMIT.sub("", markdown.replace(MODELS, model_pages.overview())))
+    markdown = COMMIT.sub("", markdown.replace(MODELS, model_pages.overview()))
+    return with_links(reference_links.linked(markdown, page.file.src_uri))
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
