@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from granflow.runs.read_run import read_run as read_run
     from granflow.runs.result import Result as Result
     from granflow.scene.blocks.contact import Contact as Contact
+    from granflow.scene.blocks.deformation import AxisDeformation as AxisDeformation
+    from granflow.scene.blocks.deformation import Deformation as Deformation
     from granflow.scene.blocks.deletions import StageDeletion as StageDeletion
     from granflow.scene.blocks.domain import Domain as Domain
     from granflow.scene.blocks.domain import LeesEdwards as LeesEdwards
@@ -150,6 +152,8 @@ _LOCATIONS = {
     "Disc": "granflow.scene.blocks.walls.revolved.Disc",
     "DiscFace": "granflow.scene.blocks.insertions.DiscFace",
     "DiscOutlet": "granflow.scene.blocks.outlets.DiscOutlet",
+    "AxisDeformation": "granflow.scene.blocks.deformation.AxisDeformation",
+    "Deformation": "granflow.scene.blocks.deformation.Deformation",
     "Domain": "granflow.scene.blocks.domain.Domain",
     "Expectation": "granflow.scene.blocks.output.Expectation",
     "FabricMetric": "granflow.scene.blocks.metrics.FabricMetric",

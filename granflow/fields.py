@@ -731,6 +731,26 @@ _STATE_QUANTITIES = by_name(
         ),
         Quantity("liquid_bridge_volume", "", "m3", "liquid in the bridges; only with liquid transfer"),
         Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
+        *(Quantity(f"box_width_{axis}", "", "m", f"width of a deforming box along {axis}") for axis in "xyz"),
+        *(
+            Quantity(f"box_strain_{axis}", "", "1", f"logarithmic strain of a deforming box along {axis}")
+            for axis in "xyz"
+        ),
+        *(
+            Quantity(
+                f"box_pressure_{axis}",
+                "",
+                "Pa",
+                f"mean stress of the contacts of a deforming box along {axis}, compression positive",
+            )
+            for axis in "xyz"
+        ),
+        Quantity("box_pressure", "p", "Pa", "mean of the three pressures in a deforming box"),
+        Quantity("stress_ratio", "q/p", "1", "deviator of the three pressures over their mean"),
+        Quantity(
+            "volumetric_strain", "", "1", "sum of the strains of a deforming box, negative in compression"
+        ),
+        Quantity("solid_fraction", "", "1", "volume of the particles over that of a deforming box"),
         *(Quantity(f"gravity_{axis}", "", "m/s2", f"gravity along {axis}, if it changes") for axis in "xyz"),
     )
 )

@@ -7,6 +7,7 @@ from math import hypot, isfinite
 import numpy as np
 
 from granflow.engine.codes import (
+    ABORT_BOX,
     ABORT_DISPLACEMENT,
     ABORT_FORCE,
     ABORT_NOT_FINITE,
@@ -20,6 +21,7 @@ from granflow.engine.state import State, mobility_mask
 from granflow.engine.statistics import candidate_pairs
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_velocities
 from granflow.engine.walls import walls_of
+from granflow.geometry.periodic_box import AXES
 from granflow.plan.limits import COARSEST, remedy, share_of, spacing_at
 from granflow.plan.overlaps import (
     LIMIT_MARGIN,
@@ -366,6 +368,15 @@ def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     )
 
 
+def _box(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Periodic box that deforms and has become too narrow."""
+    return (
+        f"{diagnosis.body.name} at {time:.6g} s is narrower than {plan.narrowest_box:.4g} m, which is two "
+        "of the largest diameters and twice the skin: a particle could be in contact with two images of "
+        "another one. Use a larger box with more particles, or end the compression earlier."
+    )
+
+
 def _liquid(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Bridges that formed in one step have taken more liquid than the film had."""
     return (
@@ -427,6 +438,7 @@ _REASONS = {
     "liquid": _liquid,
     "flow": _flow,
     "rate": _rate,
+    "box": _box,
 }
 
 # Cause and remedies of an overlap above the limit: an impact, a static load, a pressing wall, or cohesion.
@@ -621,6 +633,10 @@ def diagnose(
         return Diagnosis(
             ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken, None
         )
+    if code == ABORT_BOX:
+        narrowest = AXES[int(np.nan_to_num(state.periodic_box.width).argmin())]
+        body = Body(f"the periodic box along {narrowest}", "", (0.0, 0.0, 0.0), None)
+        return Diagnosis(ABORT_REASONS[code], body, None, state.clock.time_step, step_taken, None)
     arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
     arrays = {
         name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()
@@ -697,9 +713,7 @@ def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], tim
         position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, arrays["position_at_rebuild"])
     partner_index = np.maximum(partner, 0)
-    branch = position[owner] - state.plan.periodic_box.at(time).nearest_images(
-        position[partner_index], position[owner]
-    )
+    branch = position[owner] - state.periodic_box.nearest_images(position[partner_index], position[owner])
     distance = np.linalg.norm(branch, axis=1)
     overlap = arrays["radius"][owner] + arrays["radius"][partner_index] - distance
     normal = branch / np.maximum(distance, 1e-3 * arrays["radius"][owner])[:, None]
@@ -709,7 +723,7 @@ def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], tim
     partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
-        points = state.plan.periodic_box.wrap(position[owner[of_wall]])
+        points = state.periodic_box.wrap(position[owner[of_wall]])
         gap, normal[of_wall], surface_velocity[of_wall] = _wall_gaps(
             state, index, face[of_wall], points, time
         )

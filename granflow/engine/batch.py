@@ -178,8 +178,7 @@ class BatchedContacts:
                 self._add_torques(worker, i, j, first, end, found)
                 if ti.static(self.features.energy_budget):
                     self.accounting.add_viscous_loss(chunk, j, found.viscous_power, dt)
-            if ti.static(self.features.energy_budget and self.features.lees_edwards):
-                self.accounting.add_boundary_work(chunk, i, j, force, pose, dt)
+            self.accounting.add_moving_image(chunk, i, j, force, pose, dt)
         elif ti.static(self.has_history):
             if ti.static(self.liquid):
                 self.films.return_liquid(chunk, i, j, list_index)
@@ -302,9 +301,9 @@ class BatchedContacts:
             self._store_history(worker, entry, list_index)
             if ti.static(self.features.energy_budget):
                 self._add_losses(worker, chunk, i, j, entry, dt)
-                if ti.static(self.features.lees_edwards):
-                    force_on_owner = vector_of(self.forces, worker, entry)
-                    self.accounting.add_boundary_work(chunk, i, j, force_on_owner, pose, dt)
+            if ti.static(self.features.moving_images):
+                force_on_owner = vector_of(self.forces, worker, entry)
+                self.accounting.add_moving_image(chunk, i, j, force_on_owner, pose, dt)
 
     @ti.func
     def _store_history(self, worker, entry, list_index):

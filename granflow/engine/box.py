@@ -3,7 +3,8 @@
 Positions are wrapped into the box in the step in which they leave it: the rounding of a coordinate depends on
 its size, so that wrapping at rebuilds would make the bits depend on the rebuilds. In a sheared box
 (Lees-Edwards) the image above moves with an offset and a velocity, and the image below with the opposite
-ones; both are stored by pose, as wall positions are.
+ones; both are stored by pose, as wall positions are. In a box whose widths change (`deformation.py`), the
+images move with the velocities of the widths.
 """
 
 import numpy as np
@@ -20,7 +21,7 @@ class DeviceBox:
 
     Points are in m, inside the box unless noted; `pose` is the index of the present offset of the images.
 
-    Reads:  position, image_offset, image_speed
+    Reads:  position, image_offset, image_speed, width, width_velocity
     """
 
     def __init__(self, state: State) -> None:
@@ -32,12 +33,32 @@ class DeviceBox:
         self.flow, self.gradient = (motion.flow, motion.gradient) if motion is not None else (0, 0)
         self.axes_of_whole_widths = [axis for axis in self.axes if not self.sheared or axis != self.flow]
         self.low = state.parameter("domain_low")
-        self.width = state.parameter("box_width")
+        self.deforming = state.plan.features.deforming_box
+        self.fields = state.deformation
+        self.width = self._present_width if self.deforming else state.parameter("box_width")
+        self.domain_high = state.parameter("domain_high")
         self.position = state.particles.position
         self.offset = state.control.image_offset
         self.speed = state.control.image_speed
         self.real = state.backend.real
         self.position_real = state.backend.position_real
+
+    @ti.func
+    def _present_width(self):
+        """Widths [m] of a box that deforms."""
+        width = ti.Vector.zero(self.position_real, 3)
+        for axis in ti.static(range(3)):
+            width[axis] = ti.cast(self.fields.width[axis], self.position_real)
+        return width
+
+    @ti.func
+    def high(self):
+        """Upper corner of the domain [m]."""
+        high = self.domain_high()
+        if ti.static(self.deforming):
+            for axis in ti.static(self.axes):
+                high[axis] = self.low()[axis] + self.width()[axis]
+        return high
 
     @ti.func
     def minimum_image(self, one, other, pose):
@@ -65,21 +86,27 @@ class DeviceBox:
 
     @ti.func
     def image_index(self, one, other):
-        """1 if the image of `other` above is nearest to `one`, -1 if that below, else 0.
+        """As `image_index_along`, along the gradient axis of a sheared box."""
+        return self.image_index_along(self.gradient, one, other)
 
-        Above and below refer to the gradient axis of a sheared box.
-        """
-        branch = one[self.gradient] - other[self.gradient]
-        half = 0.5 * self.width()[self.gradient]
+    @ti.func
+    def image_index_along(self, axis: ti.template(), one, other):
+        """1 if the image of `other` above along an axis is nearest to `one`, -1 if that below, else 0."""
+        branch = one[axis] - other[axis]
+        half = 0.5 * self.width()[axis]
         return ti.cast(branch > half, ti.i32) - ti.cast(branch < -half, ti.i32)
 
     @ti.func
     def image_velocity(self, i, j, pose):
         """Velocity [m/s] of the image of particle j nearest to particle i, relative to j itself.
 
-        Zero except in a sheared box. The velocity is at the half step.
+        Zero except in a sheared or deforming box. The velocity is at the half step.
         """
         velocity = ti.Vector.zero(self.real, 3)
+        if ti.static(self.deforming):
+            for axis in ti.static(self.axes):
+                index = self.image_index_along(axis, self.position[i], self.position[j])
+                velocity[axis] = ti.cast(index * self.fields.width_velocity[axis], self.real)
         if ti.static(self.sheared):
             velocity[self.flow] = (
                 ti.cast(self.image_index(self.position[i], self.position[j]), self.real) * self.speed[pose]
@@ -146,6 +173,15 @@ class DeviceBox:
         return wrapped
 
     @ti.func
+    def velocity_shift(self, point):
+        """Decrease [m/s] of the velocity of a point outside a deforming box that is wrapped into it."""
+        shift = ti.Vector.zero(self.real, 3)
+        for axis in ti.static(self.axes):
+            count = ti.floor((point[axis] - self.low()[axis]) / self.width()[axis])
+            shift[axis] = ti.cast(ti.cast(count, ti.f64) * self.fields.width_velocity[axis], self.real)
+        return shift
+
+    @ti.func
     def cross_sheared_faces(self, point, pose):
         """A point outside, wrapped across the sheared faces, and the decrease of its velocity [m/s]."""
         flow, gradient = ti.static(self.flow, self.gradient)
@@ -163,7 +199,7 @@ class ParticleWrap:
 
         W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
 
-    Reads:   position, velocity, mass, force, clump, image_offset, image_speed
+    Reads:   position, velocity, mass, force, clump, image_offset, image_speed, width, width_velocity, stretch
     Writes:  position, position_at_rebuild, velocity, velocity_synchronized, boundary_work
     """
 
@@ -184,15 +220,21 @@ class ParticleWrap:
             wrapped = before
             if ti.static(self.box.sheared):
                 wrapped, velocity_shift = self.box.cross_sheared_faces(before, pose)
+            if ti.static(self.box.deforming):
+                velocity_shift = self.box.velocity_shift(before)
             wrapped = self.box.wrap_position(wrapped)  # after the shear, which shifts along the flow axis
             self.particles.position[i] = wrapped
-            self.particles.position_at_rebuild[i] = self.particles.position_at_rebuild[i] + (wrapped - before)
+            shift = wrapped - before
+            if ti.static(self.box.deforming):  # by widths of the last rebuild
+                for axis in ti.static(self.box.axes):
+                    shift[axis] = shift[axis] / ti.cast(self.box.fields.stretch[axis], self.box.position_real)
+            self.particles.position_at_rebuild[i] = self.particles.position_at_rebuild[i] + shift
             if ti.static(self.features.energy_budget and self.features.clumps):
                 if self.particles.clump[i] < 0:  # the energy of a clump is that of its center of mass
                     self.add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
             elif ti.static(self.features.energy_budget):
                 self.add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
-            if ti.static(self.box.sheared):
+            if ti.static(self.features.moving_images):
                 self.particles.velocity[i] = self.particles.velocity[i] - velocity_shift
                 if ti.static(self.features.synchronized):
                     self.particles.velocity_synchronized[i] = (
@@ -204,7 +246,7 @@ class ParticleWrap:
         """Add the energy gain of particle i by a shift [m] and a decrease of its velocity [m/s]."""
         mass = ti.cast(self.particles.mobility(i) * self.particles.mass[i], ti.f64)
         gained = -mass * self.gravity().dot(ti.cast(shift, ti.f64))
-        if ti.static(self.box.sheared):
+        if ti.static(self.features.moving_images):
             velocity_synchronous = ti.cast(
                 self.particles.velocity[i] + 0.5 * dt / self.particles.mass[i] * self.particles.force[i],
                 ti.f64,

@@ -20,6 +20,8 @@ ABORT_FLOW = 9
 """A sum that a contact model declares is above its range."""
 ABORT_RATE = 10
 """A particle equation gives a property a value that is not finite."""
+ABORT_BOX = 11
+"""A deforming box has become narrower than the neighbor lists permit."""
 ABORT_REASONS = {
     ABORT_FORCE: "force",
     ABORT_DISPLACEMENT: "displacement",
@@ -31,6 +33,7 @@ ABORT_REASONS = {
     ABORT_LIQUID: "liquid",
     ABORT_FLOW: "flow",
     ABORT_RATE: "rate",
+    ABORT_BOX: "box",
 }
 """Reason of each code, as in Diagnosis.reason."""
 FORCE_REASONS = frozenset({"force", "displacement", "not_finite", "overlap"})

@@ -13,6 +13,7 @@ import numpy as np
 
 from granflow.engine.box import DeviceBox
 from granflow.engine.codes import ABORT_OVERLAP
+from granflow.engine.deformation import DeformingBox
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.flows import Flows
 from granflow.engine.history import (
@@ -258,7 +259,7 @@ class Accounting:
 
     Reads:   position, walls, image_speed, in_contact, collision_edges
     Writes:  losses, losses_ahead, boundary_work, external_work, gravity_work, impulses, wall_force,
-             collisions
+             collisions, virial, face_force
     """
 
     def __init__(self, state: State) -> None:
@@ -273,6 +274,7 @@ class Accounting:
         self.box = state.built(DeviceBox)
         self.impulses = state.built(WallImpulses)
         self.controlled_walls = state.built(ForceControlledWalls)
+        self.deformation = state.built(DeformingBox) if self.features.deforming_box else None
         self.list_shares = build_list_shares(state)
         self.to_grid = build_to_grid(state.backend.real)
         self.shift = state.parameter("shift", UNIT_FORCE)
@@ -293,8 +295,7 @@ class Accounting:
         if ti.static(self.features.energy_budget):
             self._add_losses(chunk, j, found)
             self.add_viscous_loss(chunk, j, found.viscous_power, dt)
-            if ti.static(self.features.lees_edwards):
-                self.add_boundary_work(chunk, i, j, found.force, pose, dt)
+        self.add_moving_image(chunk, i, j, found.force, pose, dt)
 
     @ti.func
     def add_wall_contact(self, chunk, i, j, pose, normal, found, dt):
@@ -358,6 +359,15 @@ class Accounting:
         if ti.static(self.features.surface_velocity):
             power += found.force.dot(self.geometry.surface_velocity(-1 - j, step, normal))
         return power
+
+    @ti.func
+    def add_moving_image(self, chunk, i, j, force, pose, dt):
+        """Add the work of the image of j in a sheared box, or the force [N] on i to the sums of a deforming
+        one."""
+        if ti.static(self.features.energy_budget and self.features.lees_edwards):
+            self.add_boundary_work(chunk, i, j, force, pose, dt)
+        if ti.static(self.features.deforming_box):
+            self.deformation.add(chunk, i, j, force, pose)
 
     @ti.func
     def add_boundary_work(self, chunk, i, j, force, pose, dt):

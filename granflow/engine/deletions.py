@@ -24,8 +24,8 @@ def mark_deletions(state: State, accounting: Accounting, stage: str) -> list[int
     group = accounting.by_id("group", arrays["id"])
     clump = arrays.get("clump", np.full(len(group), -1))
     body = np.where(clump >= 0, clump, arrays["id"])
-    center = plan.periodic_box.wrap(body_positions(arrays).astype(float))
-    position = plan.periodic_box.wrap(arrays["position"].astype(float))
+    center = state.periodic_box.wrap(body_positions(arrays).astype(float))
+    position = state.periodic_box.wrap(arrays["position"].astype(float))
     remains = np.ones(len(body), bool)
     counts = []
     for index, deletion in enumerate(plan.stages[number].delete):

@@ -19,6 +19,7 @@ from granflow.engine.attached import attached_velocities
 from granflow.engine.backend import Backend
 from granflow.engine.clumps import CLUMP_MOTION, forces_with_weight, synchronized_clumps
 from granflow.engine.contact import collision_counts
+from granflow.engine.deformation import at_rebuild, write_deformation
 from granflow.engine.deletions import mark_deletions
 from granflow.engine.fields import write_field
 from granflow.engine.gravity import present_gravity
@@ -64,6 +65,7 @@ from granflow.io.checkpoint import RankFile
 from granflow.particles.group import ParticleData
 from granflow.plan.arrays import (
     DeviceArray,
+    deformation_arrays,
     particle_arrays,
     saved_arrays,
     sum_arrays,
@@ -274,8 +276,9 @@ class Engine:
         self._walls_changed = True
 
     def set_stage(self, stage: str) -> None:
-        """Set the stage, which may have damping; takes effect with the next forces."""
+        """Set the stage, which may have damping and a deformation of the periodic box."""
         self._stage = stage
+        write_deformation(self.state, stage)
         write_damping(self.state, stage)
 
     def set_gravity(self, course: GravityCourse) -> None:
@@ -528,7 +531,7 @@ class Engine:
 
     def _in_box(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The arrays with positions in the periodic box, and the velocities there."""
-        position, velocity = self.plan.periodic_box.wrap_with_velocity(
+        position, velocity = self.state.periodic_box.wrap_with_velocity(
             arrays["position"], arrays["velocity"], self.time
         )
         return arrays | {"position": position, "velocity": velocity}
@@ -582,8 +585,12 @@ class Engine:
         return self.stepper.saved_particles()
 
     def saved_sums(self) -> dict[str, Any]:
-        """Sums and force-controlled walls, for a checkpoint."""
-        return {"energy_budget": saved_sums(self.state), "wall_dynamics": saved_wall_dynamics(self.state)}
+        """Sums, force-controlled walls and the deforming box, for a checkpoint."""
+        return {
+            "energy_budget": saved_sums(self.state),
+            "wall_dynamics": saved_wall_dynamics(self.state),
+            "deformation": saved_deformation(self.state),
+        }
 
     def on_each_rank(self, task: "Callable[[Engine, int], _T]") -> list[_T]:
         """Results of task(engine, rank) on all MPI ranks; one without MPI. Raises OSError of any task."""
@@ -608,6 +615,7 @@ class Engine:
         self.set_walls(saved["walls_present"], motions)
         load_sums(self.state, saved["energy_budget"])
         load_wall_dynamics(self.state, saved["wall_dynamics"])
+        load_deformation(self.state, saved["deformation"])
         self.accounting.load_state_dict(saved["accounting"])
         self.steps_since_update = saved["steps_since_update"]
         if self.plan.scene.numerics.max_overlap == "auto":
@@ -627,6 +635,7 @@ class Engine:
         if "offset" in dynamics:
             dynamics["offset"] = dynamics["offset_at_rebuild"]
         load_wall_dynamics(self.state, dynamics)
+        load_deformation(self.state, at_rebuild(saved["deformation"]))
         self.state.clock.load_state_dict(saved["clock_at_rebuild"])
         self.set_walls(saved["walls_present"], motions)
         self.stepper.restore(particles)
@@ -720,6 +729,22 @@ def load_wall_dynamics(state: State, saved: Mapping[str, Any]) -> None:
         )
     for name, array in _dynamics(state.plan).items():
         _load(getattr(state.wall_dynamics, name), array, saved[name])
+
+
+def saved_deformation(state: State) -> dict[str, np.ndarray]:
+    """Arrays of the deforming box, its sums over the chunks; empty with constant widths."""
+    if state.deformation is None:
+        return {}
+    arrays = saved_arrays(deformation_arrays(state.plan))
+    values = {name: getattr(state.deformation, name).to_numpy() for name in arrays}
+    return {name: each.sum(axis=0) if arrays[name].by_chunk else each for name, each in values.items()}
+
+
+def load_deformation(state: State, saved: Mapping[str, np.ndarray]) -> None:
+    """Restore what `saved_deformation` returned."""
+    if state.deformation is not None:
+        for name, array in saved_arrays(deformation_arrays(state.plan)).items():
+            _load(getattr(state.deformation, name), array, saved[name])
 
 
 def refuse_other_arrays(saved: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -22,7 +22,7 @@ def apply_settings(state: State, accounting: Accounting, settings: Sequence[Stag
     groups = [group.name for group in state.plan.groups]
     arrays = copy_to_host(state, ("id", "position", "mass", "clump", "clump_position", "clump_mass"))
     group = accounting.by_id("group", arrays["id"])
-    points = state.plan.periodic_box.wrap(body_positions(arrays).astype(float))
+    points = state.periodic_box.wrap(body_positions(arrays).astype(float))
     share = mass_shares(arrays)
     sources = [source.name for source in state.plan.sources.values()]
     counts = []

@@ -20,10 +20,12 @@ from granflow.engine.fields import (
 from granflow.engine.mesh import DeviceMesh
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
+from granflow.geometry.periodic_box import PeriodicBox
 from granflow.geometry.surface import AnalyticSurface
 from granflow.kernel_language import ti
 from granflow.plan.arrays import (
     cell_arrays,
+    deformation_arrays,
     neighbor_arrays,
     parameters_of,
     particle_arrays,
@@ -61,6 +63,7 @@ class State:
     neighbors:      neighbor lists and contact histories
     batch:          columns of the batched contacts; None on a GPU and with one particle per chunk
     wall_dynamics:  force-controlled walls; None without
+    deformation:    periodic box whose widths change; None with constant widths
     mesh:           mesh walls, see `engine.mesh.DeviceMesh`; None without
     ranks:          combines the data of MPI ranks
     """
@@ -96,6 +99,8 @@ class State:
         self.walls.fill(plan)
         if self.mesh is not None:
             self.mesh.fill(plan)
+        if self.deformation is not None:
+            self.deformation.fill(plan)
         self.control.fill(plan)
 
     @property
@@ -119,9 +124,21 @@ class State:
         self.wall_dynamics: Any = (
             WallDynamicsFields(block, plan, backend) if plan.controlled_motions else None
         )
+        self.deformation: Any = (
+            DeformationFields(block, plan, backend) if plan.features.deforming_box else None
+        )
         self.mesh: Any = DeviceMesh(block, plan, backend) if plan.features.mesh_walls else None
         self.control = Control(block, plan, backend)
         block.finish()
+
+    @property
+    def periodic_box(self) -> PeriodicBox:
+        """The periodic box at the present time."""
+        box = self.plan.periodic_box.at(self.clock.time)
+        if self.deformation is None:
+            return box
+        fields = self.deformation
+        return replace(box, width=fields.width.to_numpy(), width_velocity=fields.width_velocity.to_numpy())
 
     @property
     def stride(self) -> int:
@@ -489,6 +506,34 @@ class WallDynamicsFields(Fields):
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(wall_dynamics_arrays(plan), backend))
+
+
+class DeformationFields(Fields):
+    """Periodic box whose widths change, an entry per axis, in float64 for every precision.
+
+    width:             [m]
+    width_velocity:    rate of change of the width [m/s], half a step behind
+    width_at_rebuild:  `width` at the last neighbor-list rebuild [m]
+    stretch:           ratio of both
+    kick:              change of the width velocity in the present step over the width [1/s]
+    target:            pressure that the width follows [Pa]
+    rate:              strain rate, or with a target its largest magnitude [1/s]
+    gain:              strain rate over the deviation from the target [1/(Pa s)]; 0 without a target
+    virial:            sum of force times distance of the contacts along the axis, summed by each chunk, in
+                       units of `plan.virial_unit`
+    face_force:        force of the contacts across the upper face on the particles below it, likewise, in
+                       units of `plan.sum_units`
+    work:              work of the moving images on the particles [J]
+    """
+
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        super().__init__(block.arrays(deformation_arrays(plan), backend))
+
+    def fill(self, plan: Plan) -> None:
+        """Write the widths at the start."""
+        for name in ("width", "width_at_rebuild"):
+            getattr(self, name).from_numpy(np.array(plan.periodic_box.width, float))
+        self.stretch.fill(1.0)
 
 
 # Columns in which each CPU thread collects the contacts that it evaluates together.

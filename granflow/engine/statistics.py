@@ -77,7 +77,7 @@ class ContactOutput:
         wall[with_wall] = walls_of(state, partner[with_wall])
         triangle = np.full(len(partner), -1, np.int32)
         triangle[with_wall] = triangles_of(state, partner[with_wall])
-        box = state.plan.periodic_box.at(state.clock.time)
+        box = state.periodic_box
         position = box.wrap(state.built(_position_table).take(slice(0, len(ids)))["position"].astype(float))
         friction_limit = found.pop("friction_limit")
         first = position[owner]

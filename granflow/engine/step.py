@@ -55,6 +55,7 @@ from granflow.engine.codes import (
     PHASE_INTEGRATION,
 )
 from granflow.engine.contact import Accounting, Contact
+from granflow.engine.deformation import DeformingBox
 from granflow.engine.fields import build_tasks_of_thread, thread_count
 from granflow.engine.flows import Flows
 from granflow.engine.gravity import Gravity
@@ -123,7 +124,9 @@ class TimeStep:
         self.controlled_walls = state.built(ForceControlledWalls)
         self.attaches = features.attached_particles
         self.attached = state.built(AttachedParticles) if self.attaches else None
-        self.moves_walls_first = self.attaches and self.force_controlled
+        self.deforms = features.deforming_box
+        self.deformation = state.built(DeformingBox) if self.deforms else None
+        self.moves_walls_first = (self.attaches and self.force_controlled) or self.deforms
         # Forces
         self.exact = holds_sums(state)
         self.batched = state.batch is not None
@@ -185,7 +188,10 @@ class TimeStep:
         mass = self.particles.mass[i]
         force = self.particles.force[i] + self._weight_rest(mass * gravity, shift)
         kick = self.particles.mobility(i) * dt / mass * force
-        velocity = self.velocity_sum.changed(i, kick)
+        change = kick
+        if ti.static(self.deforms):
+            change = kick + self.deformation.kick(chunk, i, kick)
+        velocity = self.velocity_sum.changed(i, change)
         self.particles.velocity[i] = velocity
         if ti.static(self.features.synchronized):
             self.particles.velocity_synchronized[i] = velocity + 0.5 * kick
@@ -230,6 +236,9 @@ class TimeStep:
         """
         total_squared = (self.particles.position[i] - self.particles.position_at_rebuild[i]).norm_sqr()
         reach_squared = self.particles.reach[i] * self.particles.reach[i]
+        if ti.static(self.deforms):
+            total_squared = (self.particles.position[i] - self.deformation.affine_position(i)).norm_sqr()
+            reach_squared = self.deformation.reach_squared(i)
         step_squared = displacement.norm_sqr()
         sum_squared = self._square_of_sums(i, per_unit)
         # One branch per particle: with one for each limit, the whole step takes 8 % longer.
@@ -266,13 +275,15 @@ class TimeStep:
 
     @ti.func
     def move_walls(self, chunks, pose, dt):
-        """Move the force-controlled walls by one step, on one thread.
+        """Move the force-controlled walls, and the faces of a deforming box, by one step, on one thread.
 
         It follows the integration, which does not read walls; it precedes that of particles that are attached
-        to walls.
+        to walls, or in a deforming box.
         """
         if ti.static(self.force_controlled):
             self.controlled_walls.move(chunks, pose, dt)
+        if ti.static(self.deforms):
+            self.deformation.move(chunks, dt)
 
     # Forces
 
@@ -292,6 +303,8 @@ class TimeStep:
         self.accounting.clear_ahead(chunk)
         if ti.static(self.force_controlled):
             self.controlled_walls.clear(chunk)
+        if ti.static(self.deforms):
+            self.deformation.clear(chunk)
         for i in range(first, end):
             force_sum, torque_sum = self._sum_scalar_contacts(chunk, i, gravity, pose, dt)
             if ti.static(self.batched):

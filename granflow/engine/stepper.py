@@ -142,6 +142,9 @@ class Stepper:
         self._begin_count()
         if self.state.wall_dynamics is not None and shares_rows(self.state):
             self.state.wall_dynamics.wall_force.fill(0)  # otherwise cleared when the walls move
+        if self.state.deformation is not None and shares_rows(self.state):
+            self.state.deformation.virial.fill(0)
+            self.state.deformation.face_force.fill(0)
         self._launch_step(1, pose, time_step, moving=0, forcing=1)
 
     def refresh(self, step: int, velocities_lag: bool) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from granflow.contact.particle_equation import ParticleEquation
 from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
 from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
+from granflow.engine.deformation import deformation_totals, deformation_work
 from granflow.engine.flows import wall_flow_totals
 from granflow.engine.gravity import present_gravity
 from granflow.engine.host import copy_to_host
@@ -209,6 +210,7 @@ def totals_of(
         totals |= dict(zip(names, present_gravity(state).tolist(), strict=True))
     if plan.features.lees_edwards:
         totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
+    totals |= deformation_totals(state)
     if accounting.queued_count is not None:
         totals["queued_count"] = float(accounting.queued_count)
     totals |= {**sums.contents, **_contents_set(plan, accounting), **wall_flow_totals(state)}
@@ -262,6 +264,8 @@ def energy_budget_totals(
         for name, each in sums.items()
         if each is not None
     }
+    if "boundary_work" in other_works:
+        other_works["boundary_work"] += deformation_work(state)
     works = (losses["wall_work"], *other_works.values())
     dissipated = sum(losses[name] for name in LOSSES if name != "wall_work")
     present_energy = sum(energies) + measured["elastic_energy"]
@@ -795,6 +799,6 @@ def _conserves_energy(plan: Plan) -> bool:
     walls_static = all(wall.spec.is_permanent for wall in plan.walls)
     # Gravity along a periodic axis accelerates particles without limit.
     has_other_work = any(plan.scene.gravity_at_start[axis] for axis in plan.periodic_box.axes)
-    has_other_work = has_other_work or plan.features.lees_edwards
+    has_other_work = has_other_work or plan.features.moving_images
     has_other_work = has_other_work or plan.features.external_forces or plan.features.changing_gravity
     return walls_static and not has_other_work and not plan.features.moving_walls and not plan.laws.attracts

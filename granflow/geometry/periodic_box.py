@@ -1,4 +1,4 @@
-"""Periodic boundaries of the domain on the host (numpy): wrapping, images, Lees-Edwards shear."""
+"""Periodic boundaries on the host (numpy): wrapping, images, Lees-Edwards shear, deformation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,7 +27,8 @@ class PeriodicBox:
     """Periodic axes of a box, its lower corner (3,) [m] and its widths (3,) [m].
 
     `axes`: 0 to 2 for x to z. `offset` [m]: displacement of the image above in a Lees-Edwards box, along the
-    flow axis; see `at`. (A. W. Lees, S. F. Edwards, J. Phys. C 5 (1972) 1921.)
+    flow axis; see `at`. (A. W. Lees, S. F. Edwards, J. Phys. C 5 (1972) 1921.) `width_velocity` (3,) [m/s]:
+    rate of change of the widths of a deforming box.
     """
 
     axes: tuple[int, ...]
@@ -35,6 +36,7 @@ class PeriodicBox:
     width: np.ndarray
     image_motion: ImageMotion | None = None
     offset: float = 0.0
+    width_velocity: np.ndarray | None = None
 
     def at(self, time: float) -> "PeriodicBox":
         """The periodic box at a time [s]."""
@@ -83,11 +85,14 @@ class PeriodicBox:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Points (n, 3) [m] wrapped into the box, and their velocities (n, 3) [m/s] in it, at a time [s].
 
-        A point that crosses a Lees-Edwards face upward gets the velocity v - speed along the flow axis.
+        A point that crosses a Lees-Edwards face upward gets the velocity v - speed along the flow axis, one
+        that crosses a face of a deforming box upward v - width_velocity along its normal.
         """
         shifted, image_counts = self.at(time)._shifted(
             points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
         )
+        if self.width_velocity is not None:
+            return shifted, velocity - np.round((points - shifted) / self.width) * self.width_velocity
         if self.image_motion is None:
             return shifted, velocity
         shifted_velocity = np.array(velocity)

@@ -401,7 +401,7 @@ class LiveParticles:
         order = present_indices(engine.state)
         position = arrays["position"][order].astype(float)
         velocity = arrays["velocity"][order].astype(float)
-        return engine.plan.periodic_box.wrap_with_velocity(position, velocity, engine.time)
+        return engine.state.periodic_box.wrap_with_velocity(position, velocity, engine.time)
 
     def _angular_velocity(self) -> np.ndarray:
         """Angular velocities (n, 3), float64; zero without rotation."""

@@ -24,7 +24,8 @@ def refuse_without_mpi_flag() -> None:
 
 
 def refuse_on_ranks(arch: str = "cpu", forces: Sequence[object] = (), scene: Scene | None = None) -> None:
-    """Raise GranflowError for other architectures, forces from Python and films."""
+    """Raise GranflowError for other architectures, forces from Python, films and deforming
+    boxes."""
     if arch != "cpu":
         raise GranflowError(
             f"--arch {arch} does not work with --mpi, which runs on CPUs only: leave --arch out."
@@ -33,6 +34,9 @@ def refuse_on_ranks(arch: str = "cpu", forces: Sequence[object] = (), scene: Sce
         raise GranflowError("Forces from Python do not work on MPI ranks: run without a communicator.")
     if scene is None:
         return
+    for path, _ in scene.deformations():
+        key = ".".join(map(str, path))
+        raise GranflowError(f"{key} does not work on MPI ranks: run without a communicator (without --mpi).")
     cohesion = scene.contact.name("cohesion")
     if cohesion in registry.liquid_models():
         raise GranflowError(

@@ -172,6 +172,19 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
     ]
 
 
+def deformation_arrays(plan: Plan) -> list[DeviceArray]:
+    """Periodic box whose widths change; see `DeformationFields`."""
+    rows = plan.capacities.wall_rows
+    return [
+        *(DeviceArray(name, "f64", (3,), saved=True) for name in SAVED_OF_BOX),
+        *(DeviceArray(name, "f64", (3,)) for name in ("kick", "target", "rate", "gain")),
+        DeviceArray("virial", "i64", (rows, 3), saved=True, by_chunk=True),
+        DeviceArray("face_force", "i64", (rows, 3), saved=True, by_chunk=True),
+    ]
+
+
+SAVED_OF_BOX = ("width", "width_at_rebuild", "width_velocity", "stretch", "work")
+"""Fields of a deforming box that checkpoints contain, and the sums over the contacts."""
 FURTHER_GIVERS = 2
 """Places behind those of the walls in sums of flows: the surroundings, and the sources in the particles."""
 
@@ -297,6 +310,9 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
         yield _scalar("liquid_unit", "f64", plan.liquid_unit)
     yield _vector("gravity", "f64", plan.scene.gravity_at_start)
     yield _vector("box_width", "position", plan.periodic_box.width)
+    if plan.features.deforming_box:
+        yield _scalar("narrowest_box", "f64", plan.narrowest_box)
+        yield _scalar("per_unit.virial", "f64", 1.0 / plan.virial_unit)
     yield _vector("domain_low", "position", plan.domain_low)
     yield _vector("domain_high", "position", plan.domain_high)
     for index, outlet in enumerate(plan.scene.outlets.values()):

@@ -197,7 +197,7 @@ def _adaptive_time_step(
     if scene.run.time_step != "adaptive":
         return None
     fractions = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
-    speed = max(speed, scene.domain.image_speed)
+    speed = max(speed, scene.image_speed)
     return adaptive_time_step_for(pair_cases, law, velocity, speed, *fractions)
 
 

@@ -59,6 +59,7 @@ def explain(plan: Plan) -> str:
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
         "Force-controlled walls": _wall_control_rows(plan),
+        "Deforming box": _deformation_rows(plan),
         "Tables of motions": _table_rows(plan),
         "Meshes": _mesh_rows(plan),
         "Forecast": _forecast_rows(plan),
@@ -174,6 +175,19 @@ def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
         numbers = controlled.spec.numbers_in_words(controlled.numbers)
         words = ", ".join(f"{name} {value}" for name, value in numbers)
         yield ExplainRow(controlled.name, controlled.spec.kind, f"{words} ({controlled.source})")
+
+
+def _deformation_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Strain rate or pressure of each axis, and the gain of the pressures."""
+    for path, each in plan.scene.deformations():
+        where = plan.scene.where(*path)
+        for axis, given in each.by_axis.items():
+            name = f"{'.'.join(map(str, path))}.{axis}"
+            if given.pressure is None:
+                yield ExplainRow(name, f"{given.strain_rate:g} 1/s", f"strain rate, {where}")
+            else:
+                control = f"gain {plan.gain_of(each):.3g} 1/(Pa s), at most {each.max_rate:g} 1/s"
+                yield ExplainRow(name, f"{given.pressure:g} Pa", f"pressure, {control}, {where}")
 
 
 def _table_rows(plan: Plan) -> Iterator[ExplainRow]:

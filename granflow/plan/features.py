@@ -66,6 +66,8 @@ class Features:
     """Whether walls wear."""
     wall_groups: bool = False
     """Whether particles of some groups pass through a wall."""
+    deforming_box: bool = False
+    """Whether the widths of the periodic box change."""
     changing_gravity: bool = False
     """Whether gravity changes with time, or in a stage."""
     external_forces: bool = False
@@ -75,6 +77,11 @@ class Features:
     def synchronized(self) -> bool:
         """Whether forces depend on velocities at the time of the positions."""
         return self.rate_dependent or self.viscous_cohesion
+
+    @property
+    def moving_images(self) -> bool:
+        """Whether images across periodic boundaries have another velocity than their originals."""
+        return self.lees_edwards or self.deforming_box
 
 
 @dataclass(frozen=True)
@@ -246,6 +253,9 @@ def _rows(
         else f"shear rate {shear.rate:g} 1/s, flow along {shear.flow}, gradient along {shear.gradient} "
         f"({where('domain', 'lees_edwards')})",
     )
+    deforming = [".".join(map(str, path)) + f" ({where(*path)})" for path, _ in scene.deformations()]
+    if deforming:
+        yield "deforming_box", True, f"the widths follow {', '.join(deforming)}"
 
     # Particles.
     fixed = [name for name, group in groups.items() if group.fixed]

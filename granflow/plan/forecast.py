@@ -116,7 +116,7 @@ def forecast_velocity(plan: Plan) -> ImpactVelocity:
     scene = plan.scene
     planned = plan.impact_velocity
     heights = drop_heights(plan)
-    if scene.run.velocity_max is not None or scene.domain.image_speed or not heights:
+    if scene.run.velocity_max is not None or scene.image_speed or not heights:
         return planned
     magnitude = float(np.linalg.norm(scene.usual_gravity))
     up = -np.array(scene.usual_gravity) / magnitude
@@ -292,7 +292,7 @@ def value_rows(
 
     falling = [name for name in heights if region_of(scene.particles[name]) is not None]
     given = scene.run.velocity_max
-    if falling and given is not None and not scene.damping and not scene.domain.image_speed:
+    if falling and given is not None and not scene.damping and not scene.image_speed:
         name = max(falling, key=lambda each: heights[each])
         fall = sqrt(2.0 * float(np.linalg.norm(scene.usual_gravity)) * heights[name])
         text = (

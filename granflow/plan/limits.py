@@ -30,14 +30,21 @@ DISTANCE_TOLERANCE = 1e-3
 """Tolerance for the difference of wall distances between opposite faces, relative to the reach."""
 
 
-def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
-    """Raise SceneError if a particle can be a candidate partner of two images of another.
+def narrowest_box(radius_max: float, skin: float) -> float:
+    """Smallest width [m] along a periodic axis, for lengths in m.
 
-    The width along each periodic axis must be at least 4 radius_max + 2 skin. `radius_max`, `skin` [m]; under
-    Lees-Edwards shear, give twice the skin.
+    With less, a particle can be a candidate partner of two images of another.
+    """
+    return 4.0 * radius_max + 2.0 * skin
+
+
+def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
+    """Raise SceneError if the width along a periodic axis is below that of `narrowest_box`.
+
+    Under Lees-Edwards shear, give twice the skin.
     """
     periodic_box = scene.domain.periodic_box()
-    needed = 4.0 * radius_max + 2.0 * skin
+    needed = narrowest_box(radius_max, skin)
     remark = "" if periodic_box.image_motion is None else ", which is double under shear"
     for axis in periodic_box.axes:
         if periodic_box.width[axis] < needed:
@@ -314,15 +321,17 @@ def refuse_fast_walls(
 
 
 def refuse_fast_images(scene: Scene, step: float, limit: float, share: str) -> None:
-    """Raise SceneError if the images of a sheared box move by more than `limit` [m] in a step [s].
+    """Raise SceneError if the images of a periodic box move by more than `limit` [m] in a step [s].
 
     `share`: the limit relative to the length from which it follows.
     """
-    speed = scene.domain.image_speed
+    speed = scene.image_speed
     if speed * step > limit:
-        place = scene.locate("domain", "lees_edwards")
+        sheared = [("domain", "lees_edwards")] if scene.domain.lees_edwards is not None else []
+        path = next(iter([*sheared, *(path for path, _ in scene.deformations())]))
+        key = ".".join(map(str, path))
         excess = _per_step(scene, speed, step, limit, share)
-        raise SceneError(f"{place}: domain.lees_edwards moves the images at {speed:.3g} m/s{excess}")
+        raise SceneError(f"{scene.locate(*path)}: {key} moves the images at {speed:.3g} m/s{excess}")
 
 
 def _per_step(scene: Scene, speed: float, step: float, limit: float, share: str) -> str:

@@ -41,7 +41,7 @@ from granflow.plan.capacities import (
     rounded_capacity,
 )
 from granflow.plan.features import Features, Reason
-from granflow.plan.limits import coordinate_limit
+from granflow.plan.limits import coordinate_limit, narrowest_box
 from granflow.plan.pair_case import PairCase
 from granflow.plan.sum_units import (
     LOSS_HEAT_UNITS,
@@ -59,6 +59,7 @@ from granflow.plan.time_step import (
 )
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, meshes_of
+from granflow.scene.blocks.deformation import Deformation
 from granflow.scene.blocks.run import Stage
 from granflow.scene.blocks.walls.wall import WallNote
 from granflow.scene.blocks.wear import WallWear
@@ -384,6 +385,33 @@ class Plan:
         radius = (0.5 if self.features.mesh_walls else 1.0) * self.radius_min
         outlets = [0.5 * outlet.thickness for outlet in self.scene.outlets.values()]
         return max(0.5 * self.skin, min([radius, *outlets]))
+
+    @property
+    def narrowest_box(self) -> float:
+        """Smallest width [m] of a periodic box, see `narrowest_box`."""
+        return narrowest_box(self.radius_max, self.skin + self.laws.range)
+
+    def gain_of(self, deformation: Deformation) -> float:
+        """Strain rate over the deviation from the target pressure [1/(Pa s)].
+
+            g = T / (rho d^2)
+
+        By default, with the shortest loading or unloading time T, and the largest density rho and diameter d.
+        The stiffness K of a packing is some 10 rho d^2 / T^2, and a control without delay is stable up to
+        about K g dt = 1.
+        """
+        if deformation.gain is not None:
+            return deformation.gain
+        densities = [self.scene.materials[each.spec.material].density for each in self.groups]
+        return self.step.shortest_phase / (max(densities) * (2.0 * self.radius_max) ** 2)
+
+    @property
+    def virial_unit(self) -> float:
+        """Unit [J] of the sum of force times distance of the contacts of a deforming box.
+
+        A contact has at most 2^43 of them.
+        """
+        return 8.0 * self.sum_units.torque
 
     @property
     def coordinate_limit(self) -> float:

@@ -48,16 +48,17 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
         return ImpactVelocity(given, f"run.velocity_max, {scene.where('run', 'velocity_max')}")
     fall = free_fall(scene)
     initial = max((group.initial_speed for group in scene.particles.values()), default=0.0)
-    images = scene.domain.image_speed
+    images = scene.image_speed
     surface = max(surface_speed(scene), images)
     if not max(fall, initial, surface) > 0.0:
         return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
     speed = fall
     source = f"a free fall through the domain, {fall:.3g} m/s"
     opposing = surface
-    opposing_name = (
-        "the speed of the images across the sheared boundary" if images else "the speed of the fastest wall"
-    )
+    opposing_name = "the speed of the fastest wall"
+    if images:
+        boundary = "sheared" if scene.domain.lees_edwards else "deforming"
+        opposing_name = f"the speed of the images across the {boundary} boundary"
     opposing_source = f"{opposing_name}, {surface:.3g} m/s"
     if initial > fall:
         speed = initial

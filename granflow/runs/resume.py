@@ -135,6 +135,7 @@ FEATURE_SWITCHES = (
     "fixed_particles",
     "attached_particles",
     "wall_groups",
+    "deforming_box",
     "changing_gravity",
 )
 """Features that determine which arrays exist."""

@@ -585,6 +585,45 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
         yield whole(("domain", "lees_edwards"), reason)
 
 
+def deformation(parts: PartialScene) -> Iterator[Fault]:
+    """A deforming box has periodic axes, and spheres alone: all else would have to move with it.
+
+    One fault names all features of the scene that are not supported.
+    """
+    scene = parts.scene
+    given = list(scene.deformations())
+    for path, each in given:
+        for axis in each.by_axis:
+            if axis not in scene.domain.periodic:
+                periodic = ", ".join(scene.domain.periodic) or "none"
+                reason = f"requires a periodic axis, but domain.periodic is {periodic}"
+                yield whole((*path, axis), f"{reason}; add {axis} there")
+    if not given:
+        return
+    groups = scene.particles.items()
+    unsupported = {
+        "walls": list(scene.walls),
+        "clumps": [name for name, group in groups if group.shape.body is not None],
+        "fixed particles": [name for name, group in groups if group.fixed],
+        "particles inserted during the run": [
+            name for name, group in groups if isinstance(group.insert, TimedInsertion)
+        ],
+        "flow meters": list(scene.output.flow_meters),
+        "outlets": list(scene.outlets),
+        "fields": list(scene.output.fields),
+        "metrics of stress, in whose place the time series has box_pressure": [
+            name for name, metric in scene.output.metrics.items() if metric.kind == "stress"
+        ],
+    }
+    found = [f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names]
+    if scene.domain.lees_edwards is not None:
+        found.append("domain.lees_edwards")
+    if scene.damping is not None:
+        found.append("damping, for which no frame is at rest")
+    if found:
+        yield whole(given[0][0], f"cannot be combined with {alternatives(found)}: remove one of them")
+
+
 # Stages, and what is limited to stages; motions of walls
 
 
@@ -992,6 +1031,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     ((), some_particles),
     (("domain",), inside_domain),
     (("domain", "particles", "output"), lees_edwards),
+    (("domain", "particles", "output", "stages"), deformation),
     (("domain", "run", "output"), unsupported_shapes),
     (("contact",), liquid_content),
     (("contact", "pairs", "stages"), equation_values),

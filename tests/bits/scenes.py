@@ -174,6 +174,20 @@ def sheared_films() -> Scene:
     return Scene.from_dict(scene)
 
 
+def deformed_films() -> Scene:
+    """The same gas in a box that deforms: rates and pressures that change with the stage, compression by a
+    tenth."""
+    scene = sheared_films().to_dict()
+    scene["domain"]["lees_edwards"] = None
+    pressures = {"x": {"pressure": 50.0}, "y": {"strain_rate": -20.0}, "max_rate": 40.0, "gain": 0.05}
+    scene["stages"] = [
+        {"name": "compress", "duration": 2e-3, "deformation": {"z": {"strain_rate": -50.0}}},
+        {"name": "control", "duration": 2e-3, "deformation": pressures},
+    ]
+    scene["run"]["duration"] = None
+    return Scene.from_dict(scene)
+
+
 def conducting() -> Scene:
     """The poured bed and rods with temperatures, of which one wall has one and wears, and another one a heat
     flux."""
@@ -310,6 +324,9 @@ SLOW = {
     ),
     "mixed": Row(lambda: in_precision("mixed")),
     "f32": Row(lambda: in_precision("f32")),
+    "deformed": Row(
+        deformed_films, ("boundary_work", "box_strain_x", "box_strain_z", "liquid_bridge_volume"), disturb, on_ranks=False
+    ),
     "dashpots": Row(lambda: complex_scene(0.006, **DASHPOTS), ("damping_dissipation",)),
     "springs": Row(lambda: complex_scene(0.006, **SPRINGS)),
     "poured films": Row(

@@ -33,7 +33,16 @@ def test_lines_fit_a_terminal(tmp_path, monkeypatch):
     assert max(map(len, text.splitlines())) <= WIDTH
 
 
-ONLY_IF_ON = ("changing_gravity", "flows", "loss_heat", "sources", "viscous_cohesion", "wall_groups", "wear")
+ONLY_IF_ON = (
+    "changing_gravity",
+    "deforming_box",
+    "flows",
+    "loss_heat",
+    "sources",
+    "viscous_cohesion",
+    "wall_groups",
+    "wear",
+)
 
 LISTED = [
     *("friction", "rolling", "twisting", "cohesion"),

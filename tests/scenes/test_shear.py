@@ -47,3 +47,22 @@ def test_cohesionless_preshear_of_the_shear_tester_has_the_friction_of_spheres(t
     assert normal == pytest.approx(5000.0, rel=0.01)
     low, high = np.tan(np.radians([18.9, 22.9]))
     assert low < shear / normal < high
+
+
+@pytest.mark.slow
+def test_reduced_triaxial_test_satisfies_its_expectations(tmp_path, taichi_f64):
+    """216 spheres: the lateral pressures remain near their target at a strain rate of 10 1/s."""
+    box = "{min: [0, 0, 0], max: [6.1 mm, 6.1 mm, 6.1 mm]}"
+    small = (
+        "particles.glass.count=216",
+        f"particles.glass.insert.region.box={box}",
+        "domain.max=[6.1 mm, 6.1 mm, 6.1 mm]",
+        "stages.0.until.hold=0.1 ms",
+        "stages.1.until.below=-0.08",
+        "stages.2.duration=1 ms",
+        "expect=[{quantity: energy_error, between: [-3e-3, 3e-3]}, {quantity: box_pressure_mean.compress, above: 1}, "
+        "{quantity: box_pressure_x_mean.critical, between: [99 kPa, 105 kPa]}, "
+        "{quantity: box_pressure_y_mean.critical, between: [99 kPa, 105 kPa]}, "
+        "{quantity: stress_ratio_mean.critical, between: [0.2, 1]}]",
+    )
+    assert run_shipped_scene("triaxial", tmp_path, overrides=small)[1] == []

@@ -14,6 +14,7 @@ import numpy as np
 from granflow.engine.box import ParticleWrap
 from granflow.engine.clumps import index_phase
 from granflow.engine.codes import ABORT_FAR
+from granflow.engine.deformation import mark_rebuild_of_box
 from granflow.engine.fields import components
 from granflow.engine.history import SavedHistory
 from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, saved_particle_table
@@ -113,7 +114,8 @@ class NeighborListRebuild:
         pose:     index of the wall poses at the time of the positions
         workers:  number of workers of the launch
         """
-        mark_rebuild(self._state)  # displacements of walls count from here
+        mark_rebuild(self._state)  # displacements of walls, and the affine motion, count from here
+        mark_rebuild_of_box(self._state)
         self._delete(self._launch(pose, workers, REACH_STEPS * self._state.clock.time_step))
 
     def put(self, particles: HostParticles) -> None:
@@ -136,7 +138,7 @@ class NeighborListRebuild:
         Raises:         GranflowError if that rebuild would have deleted one of the particles
         """
         state = self._state
-        self.put(particles.at_rebuild(state.plan.periodic_box.at(state.clock.time)))
+        self.put(particles.at_rebuild(state.periodic_box))
         flags = self._launch(pose, workers, KEPT_REACH)
         if state.count and flags.present < state.count:
             raise GranflowError(

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.box import DeviceBox
 from granflow.engine.clumps import body_positions
 from granflow.engine.codes import ABORT_FAR, REMOVED_BELOW
 from granflow.engine.neighbor.phases import (
@@ -267,7 +268,8 @@ class CellGrids:
         self.by_class = state.cell_sort.class_order is not None
         self.expands = state.plan.scene.domain.on_exit == "expand"
         self.domain_low = state.parameter("domain_low")
-        self.domain_high = state.parameter("domain_high")
+        deforming = state.plan.features.deforming_box
+        self.domain_high = state.built(DeviceBox).high if deforming else state.parameter("domain_high")
         self.class_count = state.parameter("class_count")
         self.cell_capacity = state.parameter("cell_capacity")
         self.force_range = state.parameter("force_range")

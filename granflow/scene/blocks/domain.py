@@ -7,10 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
+from granflow.scene.blocks.deformation import Deformation
 from granflow.scene.blocks.primitives import Box
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault
-from granflow.schema.model import ListOf, Model
+from granflow.schema.model import ListOf, Model, optional
 from granflow.schema.quantities import Number
 
 Axis = Literal["x", "y", "z"]
@@ -55,6 +56,12 @@ class Domain(Box):
     )
     lees_edwards: LeesEdwards | None = Field(
         None, description="uniform shear with Lees-Edwards boundary conditions; both axes must be periodic"
+    )
+    deformation: Deformation | None = optional(
+        "strain rate or target pressure of each periodic axis that changes its width, until a stage gives "
+        "another deformation",
+        "constant widths",
+        examples=[{"z": {"strain_rate": "-1 1/s"}}],
     )
     on_exit: Literal["delete", "error", "expand"] = Field(
         description=(

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from granflow.scene.blocks.deformation import Deformation
 from granflow.scene.blocks.deletions import StageDeletion
 from granflow.scene.blocks.gravity import Gravity
 from granflow.scene.blocks.settings import StageSetting
@@ -110,6 +111,11 @@ class Stage(Model):
         "gravity from the start of this stage on [m/s2], a vector or what the key gravity of a scene accepts",
         "that of the stage before",
         examples=[[0, 0, -9.81]],
+    )
+    deformation: Deformation | None = optional(
+        "deformation of the periodic box from the start of this stage on, in place of that of the domain",
+        "that of the stage before",
+        examples=[{"z": {"strain_rate": "-1 1/s"}}],
     )
 
     @property

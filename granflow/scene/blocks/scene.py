@@ -15,7 +15,9 @@ from pydantic import AfterValidator, Field, PrivateAttr
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, ContactModel
 from granflow.contact.particle_equation import ParticleEquation
+from granflow.geometry.periodic_box import AXES
 from granflow.scene.blocks.contact import Contact
+from granflow.scene.blocks.deformation import Deformation
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.gravity import (
     AnyGravity,
@@ -198,6 +200,35 @@ class SceneInput(Model):
             if stage.gravity is not None and stage.name in stage_times:
                 acting, since = stage.gravity, stage_times[stage.name][0]
         return course_of(acting, since, stage_times)
+
+    def deformations(self) -> Iterator[tuple[tuple[str | int, ...], Deformation]]:
+        """Each deformation of the periodic box with its key path: that of the domain, and those of stages."""
+        if self.domain.deformation is not None:
+            yield ("domain", "deformation"), self.domain.deformation
+        for number, stage in enumerate(self.stages):
+            if stage.deformation is not None:
+                yield ("stages", number, "deformation"), stage.deformation
+
+    def deformation_in(self, name: str) -> Deformation | None:
+        """The deformation of the periodic box in a stage."""
+        acting = self.domain.deformation
+        for stage in self.stages:
+            acting = stage.deformation or acting
+            if stage.name == name:
+                break
+        return acting
+
+    @property
+    def image_speed(self) -> float:
+        """Largest speed [m/s] of the images across a periodic boundary: shear rate, or strain rate of a
+        deformation, times the width at the start."""
+        widths = dict(zip(AXES, np.subtract(self.domain.max, self.domain.min), strict=True))
+        speeds = [
+            each.largest_rate(axis) * float(width)
+            for _, each in self.deformations()
+            for axis, width in widths.items()
+        ]
+        return max(self.domain.image_speed, *speeds, 0.0)
 
     def end_of_stage(self, name: str) -> tuple[str, str]:
         """Key of the longest duration of a stage, such as stages.0.max_duration, and its source position."""

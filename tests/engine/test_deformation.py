@@ -1,0 +1,128 @@
+"""Deforming boxes: affine motion, Hertzian lattices under pressure, and the place of the boundary."""
+
+import numpy as np
+import pytest
+from scene_builders import SOFT, build_scene, particle_group, run_to_end
+
+from granflow.errors import GranflowError, RunError
+from granflow.parallel.refusals import refuse_on_ranks
+
+AXES = "xyz"
+SIDE = 0.03
+"""Width of the box at the start [m]."""
+
+
+def deformed(positions, deformation, diameter=0.01, duration=0.01, pair=None, stages=None, velocity=None):
+    """Spheres in a periodic cube that deforms."""
+    moving = {} if velocity is None else {"velocity": velocity}
+    run = {"velocity_max": 1.0, "time_step": 4e-6}
+    return build_scene(
+        {"balls": particle_group(positions, diameter, **moving)},
+        normal="hertz",
+        pair={"restitution": 1.0} | (pair or {}),
+        domain={
+            "min": [0.01] * 3,
+            "max": [0.01 + SIDE] * 3,
+            "periodic": ["x", "y", "z"],
+            "on_exit": "error",
+            "deformation": deformation,
+        },
+        numerics={"chunk_size": 16},
+        run=run if stages else run | {"duration": duration},
+        output={"interval": 1.0, "energy_budget": True},
+        **({"stages": stages} if stages else {}),
+    )
+
+
+def lattice(count=3):
+    """Centers of a simple cubic lattice in the box."""
+    return 0.01 + SIDE / count * (np.argwhere(np.ones((count,) * 3)) + 0.5)
+
+
+def of_axes(last, name):
+    """A total of each axis."""
+    return np.array([last.totals[f"{name}_{axis}"] for axis in AXES])
+
+
+def test_particles_without_contacts_follow_the_affine_field(taichi_f64):
+    """x(t) - low = (x(0) - low) W(t) / W(0) with W(t) = W(0) exp(rate t); their energy is boundary work."""
+    rates = np.array([-10.0, 0.0, 5.0])
+    deformation = {"x": {"strain_rate": rates[0]}, "z": {"strain_rate": rates[2]}}
+    last, _ = run_to_end(deformed(lattice(), deformation, diameter=0.002))
+    width = of_axes(last, "box_width")
+    np.testing.assert_allclose(width, SIDE * np.exp(rates * last.time), rtol=1e-5)
+    expected = 0.01 + (lattice() - 0.01) * width / SIDE
+    np.testing.assert_allclose(last.particles["position"], expected, rtol=1e-13)
+    np.testing.assert_allclose(last.particles["velocity"], rates * (expected - 0.01), atol=2e-5)
+    assert last.totals["boundary_work"] == pytest.approx(last.totals["kinetic_energy"], rel=1e-10)
+    assert last.totals["solid_fraction"] == pytest.approx(27 * np.pi / 6 * 0.002**3 / width.prod())
+
+
+STIFFNESS = 4 / 3 * SOFT["young_modulus"] / (2 * (1 - SOFT["poisson_ratio"] ** 2)) * np.sqrt(0.0025)
+"""F / overlap^1.5 of two spheres of 10 mm: (4/3) E* sqrt(R*), with 1/R* = 2/R and 1/E* = 2 (1 - nu^2) / E."""
+
+
+def test_cubic_lattice_has_hertzian_pressures_and_reaches_targets(taichi_f64):
+    """A contact per area of a cell along each axis: P_x = F(d - a_x) / (a_y a_z), with a = W/3.
+
+    The stored energy (2/5) F overlap of all contacts is the work of the box.
+    """
+    target = np.array([2e3, 3e3, 4e3])
+    rates = {axis: {"strain_rate": rate} for axis, rate in zip(AXES, (-1.0, -2.0, -0.5), strict=True)}
+    control = {axis: {"pressure": value} for axis, value in zip(AXES, target, strict=True)}
+    stages = [
+        {"name": "rates", "duration": 0.004},
+        {"name": "pressures", "duration": 0.02, "deformation": control | {"max_rate": 2.0}},
+    ]
+    for count in (1, 2):
+        last, _ = run_to_end(deformed(lattice(), rates, stages=stages[:count]))
+        cell = of_axes(last, "box_width") / 3
+        overlap = 0.01 - cell
+        force = STIFFNESS * overlap**1.5
+        assert overlap.min() > 1e-5
+        np.testing.assert_allclose(of_axes(last, "box_pressure"), force * cell / cell.prod(), rtol=1e-8)
+        stored = 27 * (2 / 5 * force * overlap).sum()
+        assert last.totals["elastic_energy"] == pytest.approx(stored, rel=1e-8)
+        moving = last.totals["kinetic_energy"]
+        assert abs(last.totals["energy_error"]) < 1e-5
+    np.testing.assert_allclose(of_axes(last, "box_pressure"), target, rtol=1e-3)
+    assert moving < 1e-3 * stored
+    assert last.totals["box_pressure"] == pytest.approx(3e3, rel=1e-3)
+    assert last.totals["stress_ratio"] == pytest.approx(np.sqrt(3.0) / 3.0, rel=1e-3)  # q = sqrt(3) kPa
+
+
+def test_result_does_not_depend_on_the_position_of_the_boundary(taichi_f64):
+    """A frictional gas, and the same gas shifted by a third of the width: equal in relative coordinates."""
+    rng = np.random.default_rng(3)
+    start = 0.01 + 0.006 * (np.argwhere(np.ones((5, 5, 5))) + 0.5)
+    velocity = rng.normal(0.0, 0.2, start.shape)
+    velocity -= velocity.mean(axis=0)
+    deformation = {axis: {"strain_rate": rate} for axis, rate in zip(AXES, (-8.0, -4.0, 3.0), strict=True)}
+    found = []
+    for shift in (0.0, 1 / 3):
+        positions = 0.01 + (start - 0.01 + shift * SIDE) % SIDE
+        pair = {"friction": 0.4, "restitution": 0.8}
+        last, simulation = run_to_end(deformed(positions, deformation, 0.0055, 0.02, pair, velocity=velocity))
+        assert last.totals["friction_dissipation"] > 1e-6 and simulation.engine.timing.rebuild_count > 3
+        assert abs(last.totals["energy_error"]) < 2e-3
+        width = of_axes(last, "box_width")
+        relative = (last.particles["position"] - 0.01) / width
+        assert relative.min() >= 0.0 and relative.max() < 1.0
+        fluctuation = last.particles["velocity"] - relative * width * (-8.0, -4.0, 3.0)
+        found.append(((relative - shift) % 1.0, fluctuation, last.particles["angular_velocity"]))
+    difference = (found[1][0] - found[0][0] + 0.5) % 1.0 - 0.5
+    np.testing.assert_allclose(difference, 0.0, atol=1e-7)
+    np.testing.assert_allclose(found[1][1], found[0][1], atol=2e-5)
+    np.testing.assert_allclose(found[1][2], found[0][2], atol=2e-2)
+
+
+def test_box_that_becomes_too_narrow_stops_the_run(taichi_f64):
+    scene = deformed([[0.02] * 3], {"x": {"strain_rate": -40.0}}, diameter=0.004, duration=0.1)
+    with pytest.raises(RunError, match=r"the periodic box along x at 0\.\d+ s is narrower than 0\.0\d+ m"):
+        run_to_end(scene)
+
+
+def test_ranks_refuse_deforming_boxes():
+    scene = deformed(lattice(), {"x": {"strain_rate": -1.0}})
+    with pytest.raises(GranflowError, match=r"domain\.deformation does not work on MPI ranks"):
+        refuse_on_ranks(scene=scene)
