@@ -580,6 +580,17 @@ _PARTICLE_FIELDS = {
             displayed=False,
         ),
         FieldSpec(
+            "loss_heat_ahead",
+            "",
+            "J",
+            "part of `loss_heat` from losses during the next half step, as `losses_ahead` of the budget",
+            file_type="int64",
+            in_snapshot=False,
+            dtype="i64",
+            condition=lambda features: features.loss_heat_ahead,
+            displayed=False,
+        ),
+        FieldSpec(
             "group",
             "",
             "1",

@@ -30,6 +30,14 @@ class MaterialProperties(Model):
     """
 
 
+CONTENT_CHANGES = {
+    "set": "{content}: part added where a stage or a program has set the {property}",
+    "inserted": "{content}: part of inserted particles, with those at the start, when they were inserted",
+    "deleted": "{content}: part of deleted particles, when they were deleted",
+}
+"""Changes of the content of all particles without a flow, and their meanings."""
+
+
 class ParticleEquation(DeviceObject):
     """How one property of the particles changes; a class without options, with device functions as methods.
 
@@ -92,18 +100,18 @@ class ParticleEquation(DeviceObject):
 
     @property
     def totals(self) -> tuple[Quantity, ...]:
-        """The mean of the property, weighted by the capacity; the content of all particles; what stages and
-        programs have added to the content because they have set the property."""
+        """The mean of the property, weighted by the capacity; the content of all particles; and what has
+        changed it since the start, see CONTENT_CHANGES."""
         if self.content is None:
             return ()
         mean = Quantity(f"{self.name}_mean", self.symbol, self.unit, f"{self.meaning}, mean by its capacity")
-        added = replace(
-            self.content,
-            name=f"{self.content.name}_set",
-            symbol="",
-            meaning=f"{self.content.meaning}: part added where a stage or a program has set the {self.name}",
-        )
-        return mean, self.content, added
+        return mean, self.content, *(self.content_change(each) for each in CONTENT_CHANGES)
+
+    def content_change(self, change: str) -> Quantity:
+        """The total of one of CONTENT_CHANGES; the equation has a content."""
+        assert self.content is not None
+        meaning = CONTENT_CHANGES[change].format(content=self.content.meaning, property=self.name)
+        return replace(self.content, name=f"{self.content.name}_{change}", symbol="", meaning=meaning)
 
     @property
     def material_keys(self) -> tuple[str, ...]:

@@ -321,14 +321,14 @@ class BatchedContacts:
             value = self.batch.losses[k][worker, entry]
             add_energy(self.control.losses, chunk, loss, self.loss_count, shares, value)
             lost += ti.cast(value, ti.f64)
-        viscous_loss = ti.cast(0.0, ti.f64)
+        if ti.static(self.has_flows):
+            per_joule = ti.cast(self.high_words_per_joule(), ti.f64)
+            self.flows.add_loss(chunk, i, j, lost / per_joule, False)
         if ti.static(self.features.viscous_cohesion):
             power = self.batch.viscous_power[0][worker, entry]
             self.accounting.add_viscous_loss(chunk, j, power, dt)
-            viscous_loss = ti.cast(dt * power, ti.f64)
-        if ti.static(self.has_flows):
-            per_joule = ti.cast(self.high_words_per_joule(), ti.f64)
-            self.flows.add_loss(chunk, i, j, lost / per_joule + viscous_loss, False)
+            if ti.static(self.has_flows):
+                self.flows.add_viscous_loss(chunk, i, j, power, dt, False)
 
 
 # Evaluate

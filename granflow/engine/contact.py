@@ -218,9 +218,9 @@ class Contact:
         lost = ti.cast(0.0, ti.f64)
         for k in ti.static(range(len(PAIR_LOSSES))):
             lost += ti.cast(found.losses[k], ti.f64)
-        if ti.static(self.laws.has_viscous_cohesion):
-            lost += ti.cast(dt * found.viscous_power, ti.f64)
         self.flows.add_loss(chunk, i, j, lost, self.with_wall)
+        if ti.static(self.laws.has_viscous_cohesion):
+            self.flows.add_viscous_loss(chunk, i, j, found.viscous_power, dt, self.with_wall)
 
     @ti.func
     def _add_plastic_loss(self, chunk, i, j, energy_lost):

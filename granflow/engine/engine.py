@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from granflow.contact.particle_equation import CONTENT_CHANGES
 from granflow.engine.abort import Diagnosis, WallChange, diagnose
 from granflow.engine.attached import attached_velocities
 from granflow.engine.backend import Backend
@@ -45,6 +46,7 @@ from granflow.engine.totals import (
     ParticleSums,
     StabilityMonitor,
     account_deleted,
+    content_fields,
     contents_of,
     deleted_particles,
     device_sums,
@@ -144,7 +146,11 @@ class Engine:
         scene = self.plan.scene
         return Accounting(
             outlets={name: [0.0, 0.0] for name in scene.outlets},
-            contents_set={each.name: 0.0 for each in scene.equations},
+            contents={
+                each.content_change(change).name: 0.0
+                for each in scene.equations
+                for change in (CONTENT_CHANGES if each.content is not None else ())
+            },
         )
 
     # Time and status.
@@ -218,6 +224,7 @@ class Engine:
         energy = sum(mechanical_energy(arrays, self._gravity))
         rows = sphere_rows(self.plan, new)
         self.accounting.insert(new.material[rows], new.group[rows], self.time, energy)
+        self.accounting.change_contents(self.plan, "inserted", arrays)
         if self.energy_before_change is not None:
             self.energy_before_change += energy
         if self._velocities_lag:
@@ -505,16 +512,16 @@ class Engine:
 
         A GPU adds them up by itself.
         """
-        equations = [each.name for each in self.plan.scene.equations]
+        equations = content_fields(self.plan)
         if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps or equations):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._velocities_lag)
-        of_equations = ("material", "loss_heat", *equations) if equations else ()
         shown = self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS)
-        own = self._own_synchronized((*shown, *of_equations))
+        own = self._own_synchronized((*shown, *equations))
         sums = host_sums(own, self._gravity, self.state.ranks)
         if equations:
             sums = replace(sums, contents=contents_of(self.plan, own, self.state.ranks))
-            own.pop("loss_heat", None)
+            for name in ("loss_heat", "loss_heat_ahead"):
+                own.pop(name, None)
         return self._in_box(self.state.ranks.gathered(own)) if needs_arrays else {}, sums
 
     def own_particles(self) -> dict[str, np.ndarray]:
@@ -667,7 +674,7 @@ class Engine:
         self._account_deleted(deleted_particles(self.state, first, last))
 
     def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add deleted particles with DELETED_FIELDS to the accounting.
+        """Add deleted particles with their `deleted_fields` to the accounting.
 
         This may abort the run, see `account_deleted`.
         """

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.codes import ABORT_FLOW, ABORT_RATE
-from granflow.engine.pair import member
+from granflow.engine.pair import member, normal_time_step
 from granflow.engine.state import State
 from granflow.engine.sums import build_to_grid, carried, exact_totals, shares_rows, to_units
 from granflow.engine.walls import Faces
 from granflow.kernel_language import ti
-from granflow.plan.arrays import FURTHER_GIVERS
+from granflow.plan.arrays import FURTHER_GIVERS, giver_count
 from granflow.plan.sum_units import CARRY_BITS, SUM_BITS
 
 
@@ -66,6 +66,9 @@ class Flows:
         self.loss_flow = self.loss_law.loss_flow if self.loss_law else ""
         self.loss_heat: Any = self.particles.loss_heat if self.has_loss_heat else None
         self.loss_heat_unit = state.parameter("loss_heat_unit") if self.has_loss_heat else None
+        self.has_loss_ahead = state.plan.features.loss_heat_ahead
+        self.loss_heat_ahead: Any = self.particles.loss_heat_ahead if self.has_loss_ahead else None
+        self.longest_time_step = state.parameter("longest_time_step")
         self.rows = state.capacities.wall_rows
         self.wall_count = state.parameter("wall_count")
         self.wall_values = [
@@ -75,6 +78,7 @@ class Flows:
         ]
         self.surroundings = state.capacities.walls
         self.source_place = state.capacities.walls + 1
+        self.loss_place = state.capacities.walls + FURTHER_GIVERS
         self.sources = [
             (self.wall_term[flow], getattr(self.particles, source.name), *self._sums_of((flow,))[0][1:])
             for flow, source in state.plan.sources.items()
@@ -113,19 +117,24 @@ class Flows:
     def begin(self, chunk, i, time_step, dt):
         """Begin the sums of particle i with its sources, and with what its surroundings give.
 
-        The losses of the step before are taken, unless this evaluation follows no integration.
+        The losses of the step before have been taken, unless this evaluation follows no integration: then it
+        counts again what belongs to the next half step.
 
         time_step:  as of a normal model [s]
         dt:         time step [s]; 0 in an evaluation without motion
 
         Reads:   radius, material, exposed_share, properties that the laws read
-        Writes:  the sums, loss_heat, wall_flows, wall_flows_ahead
+        Writes:  the sums, loss_heat, loss_heat_ahead, wall_flows, wall_flows_ahead
         """
         for field, _ in ti.static(self.sums):
             field[i] = 0.0
         if ti.static(self.has_loss_heat):
             if dt > 0.0:
                 self.loss_heat[i] = ti.cast(0, ti.i64)
+            elif ti.static(self.has_loss_ahead):
+                self.loss_heat[i] = self.loss_heat[i] - self.loss_heat_ahead[i]
+            if ti.static(self.has_loss_ahead):
+                self.loss_heat_ahead[i] = ti.cast(0, ti.i64)
         for k, source, field, shift in ti.static(self.sources):
             flow = self.to_grid(source[i], shift())
             field[i] = field[i] + flow
@@ -231,22 +240,46 @@ class Flows:
         Writes:  loss_heat, wall_flows
         """
         if ti.static(self.has_loss_heat):
-            lost = ti.cast(energy, ti.f64)
-            if ti.static(with_wall):
-                w = self.wall_of(j)
-                share = self.loss_law.wall_share(self._wall(w))
-                self._add_loss_heat(i, (1.0 - share) * lost)
-                if ti.static(self.loss_flow in self.wall_term):
-                    self._add_to_wall(chunk, w, self.wall_term[self.loss_flow], -share * lost, False)
-            else:
-                self._add_loss_heat(i, 0.5 * lost)
-                begin = chunk * self.chunk_size()
-                if j >= begin and j < begin + self.chunk_size():
-                    self._add_loss_heat(j, 0.5 * lost)
+            self._add_loss(chunk, i, j, ti.cast(energy, ti.f64), with_wall, False)
 
     @ti.func
-    def _add_loss_heat(self, i, energy):
-        self.loss_heat[i] = self.loss_heat[i] + to_units(energy / self.loss_heat_unit())
+    def add_viscous_loss(self, chunk, i, j, power, dt, with_wall: ti.template()):
+        """As `add_loss`, the loss of a viscous force: its present power [W] during half a step before and
+        half a step behind the present time, as `Accounting.add_viscous_loss` counts it.
+
+        Reads:   keys of walls
+        Writes:  loss_heat, loss_heat_ahead, wall_flows, wall_flows_ahead
+        """
+        if ti.static(self.has_loss_ahead):
+            half = ti.cast(0.5 * dt, ti.f64)
+            half_ahead = ti.cast(0.5 * normal_time_step(dt, self.longest_time_step()), ti.f64)
+            self._add_loss(chunk, i, j, half * ti.cast(power, ti.f64), with_wall, False)
+            self._add_loss(chunk, i, j, half_ahead * ti.cast(power, ti.f64), with_wall, True)
+
+    @ti.func
+    def _add_loss(self, chunk, i, j, lost, with_wall: ti.template(), ahead: ti.template()):
+        """Add a loss; `ahead`: in the next half step."""
+        if ti.static(with_wall):
+            w = self.wall_of(j)
+            share = self.loss_law.wall_share(self._wall(w))
+            self._add_loss_heat(i, (1.0 - share) * lost, ahead)
+            if ti.static(self.loss_flow in self.wall_term):
+                place = w
+                if ti.static(ahead):
+                    place += ti.static(self.loss_place)
+                self._add_to_wall(chunk, place, self.wall_term[self.loss_flow], -share * lost, ahead)
+        else:
+            self._add_loss_heat(i, 0.5 * lost, ahead)
+            begin = chunk * self.chunk_size()
+            if j >= begin and j < begin + self.chunk_size():
+                self._add_loss_heat(j, 0.5 * lost, ahead)
+
+    @ti.func
+    def _add_loss_heat(self, i, energy, ahead: ti.template()):
+        units = to_units(energy / self.loss_heat_unit())
+        self.loss_heat[i] = self.loss_heat[i] + units
+        if ti.static(ahead):
+            self.loss_heat_ahead[i] = self.loss_heat_ahead[i] + units
 
     @ti.func
     def _wall(self, w):
@@ -356,6 +389,9 @@ class Flows:
                     self._carry(chunk, self.surroundings)
                 if ti.static(self.has_sources):
                     self._carry(chunk, self.source_place)
+                if ti.static(self.has_loss_ahead):
+                    for w in range(self.wall_count()):
+                        self._carry(chunk, ti.static(self.loss_place) + w)
 
     @ti.func
     def _carry(self, row, w):
@@ -378,7 +414,7 @@ def build_withdraw(state: State) -> Any:
     """
     control = state.control
     rows = state.capacities.wall_rows
-    places = state.capacities.walls + FURTHER_GIVERS
+    places = giver_count(state.plan)
 
     @ti.kernel
     def withdraw():
@@ -405,7 +441,10 @@ def wall_flow_totals(state: State) -> dict[str, float]:
     for index, wall in enumerate(plan.walls):
         if all(values[index] is None for values in plan.wall_values.values()):
             continue
-        totals = exact_totals(sums[:, index], units).tolist()
+        of_wall = sums[:, index]
+        if plan.features.loss_heat_ahead:
+            of_wall = of_wall + sums[:, state.capacities.walls + FURTHER_GIVERS + index]
+        totals = exact_totals(of_wall, units).tolist()
         for flow, total in zip(plan.wall_flows, totals, strict=True):
             found[f"{plan.laws.flows_from_walls[flow].name}.{wall.name}"] = total
         ahead = exact_totals(sums_ahead[:, index], units).tolist()

@@ -53,5 +53,5 @@ def set_property(
     if equation is not None and equation.content is not None:
         arrays = {key: each[indices] for key, each in copy_to_host(state, ("mass", "material", name)).items()}
         change = capacity_of(state.plan, equation, arrays) * (values - arrays[name])
-        accounting.contents_set[equation.name] += exact_sum(change, state.ranks)
+        accounting.contents[equation.content_change("set").name] += exact_sum(change, state.ranks)
     write_particles(state, indices, {name: values})

@@ -197,8 +197,9 @@ class Stepper:
 
     def _clear_loss_heat(self) -> None:
         """Clear the heat of losses that the integration has taken, before a rebuild deletes particles."""
-        if self.state.plan.features.loss_heat:
-            self.state.particles.loss_heat.fill(0)
+        for field in (self.state.particles.loss_heat, self.state.particles.loss_heat_ahead):
+            if field is not None:
+                field.fill(0)
 
     @property
     def abort_code(self) -> int:

@@ -67,8 +67,9 @@ class Accounting:
     removed_kinetic_energy: float = 0.0
     energy_put_in: float = 0.0
     """Largest energy input [J] at all observations so far; see `energy_input`."""
-    contents_set: dict[str, float] = field(default_factory=dict)
-    """Content that stages and programs have added because they have set a property, by particle equation."""
+    contents: dict[str, float] = field(default_factory=dict)
+    """Changes of the content of particle equations since the start, by the names of their totals, see
+    `ParticleEquation.content_change`."""
     outlets: dict[str, list[float]] = field(default_factory=dict)
     """Count and mass [kg] of the particles deleted by each outlet."""
     exits: dict[str, int] = field(default_factory=lambda: dict.fromkeys(EXIT_FACES, 0))
@@ -109,6 +110,12 @@ class Accounting:
         for index, name in enumerate(EXIT_FACES):
             self.exits[name] += int((faces == index).sum())
 
+    def change_contents(self, plan: Plan, change: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Add the contents of particles to one of CONTENT_CHANGES; arrays as for `content_of`."""
+        for equation in plan.scene.equations:
+            if equation.content is not None:
+                self.contents[equation.content_change(change).name] += content_of(plan, equation, arrays)
+
     def count_removed(self, mass: np.ndarray) -> None:
         """Count particles with these masses (k,) [kg] that are removed from Python.
 
@@ -146,8 +153,9 @@ class Accounting:
 
 BY_ID = {"material": np.int32, "group": np.int32, "insertion_time": np.float64}
 """Types of the arrays of Accounting that have an entry for every particle id."""
-BY_NAME = ("outlets", "exits", "contents_set")
-"""Attributes of Accounting that have an entry for each outlet, face of the domain, or particle equation."""
+BY_NAME = ("outlets", "exits", "contents")
+"""Attributes of Accounting that have an entry for each outlet, face of the domain, or total of a particle
+equation."""
 SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.type in (int, float)}
 """Type of each count, mass and energy of Accounting by name."""
 
@@ -213,7 +221,7 @@ def totals_of(
     totals |= deformation_totals(state)
     if accounting.queued_count is not None:
         totals["queued_count"] = float(accounting.queued_count)
-    totals |= {**sums.contents, **_contents_set(plan, accounting), **wall_flow_totals(state)}
+    totals |= {**sums.contents, **accounting.contents, **wall_flow_totals(state)}
     for name, (outlet_count, outlet_mass) in accounting.outlets.items():
         totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
     if plan.features.energy_budget:
@@ -433,16 +441,29 @@ def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) 
     for equation in plan.scene.equations:
         if equation.content is None:
             continue
-        capacity = capacity_of(plan, equation, arrays)
-        content = exact_sum(capacity * arrays[equation.name], ranks)
-        law = plan.laws.of_losses
-        if law is not None and law.loss_flow in equation.flows:
-            units = ranks.total(np.array([arrays["loss_heat"].astype(object).sum()], float))
-            content += float(units[0]) * plan.loss_heat_unit
-        total = exact_sum(capacity, ranks)
-        mean, content_total, _ = equation.totals
+        content = content_of(plan, equation, arrays, ranks)
+        total = exact_sum(capacity_of(plan, equation, arrays), ranks)
+        mean, content_total, *_ = equation.totals
         found |= {mean.name: content / total if total else np.nan, content_total.name: content}
     return found
+
+
+def content_of(
+    plan: Plan, equation: ParticleEquation, arrays: Mapping[str, np.ndarray], ranks: Gathering = ALONE
+) -> float:
+    """Content of the particles, such as their heat [J], with that of losses which the next step adds.
+
+    arrays:  as for `contents_of`; of particles that are inserted without loss_heat
+    """
+    content = exact_sum(capacity_of(plan, equation, arrays) * arrays[equation.name], ranks)
+    law = plan.laws.of_losses
+    if law is not None and law.loss_flow in equation.flows and "loss_heat" in arrays:
+        present = arrays["loss_heat"].astype(object).sum()
+        if "loss_heat_ahead" in arrays:
+            present -= arrays["loss_heat_ahead"].astype(object).sum()
+        units = ranks.total(np.array([present], float))
+        content += float(units[0]) * plan.loss_heat_unit
+    return content
 
 
 def capacity_of(plan: Plan, equation: ParticleEquation, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -457,15 +478,6 @@ def capacity_of(plan: Plan, equation: ParticleEquation, arrays: Mapping[str, np.
         key: np.array([each[key] for each in by_material])[material] for key in equation.material_keys
     }
     return equation.capacity(constants, mass)
-
-
-def _contents_set(plan: Plan, accounting: Accounting) -> dict[str, float]:
-    """What has been added to the content of each equation where its property has been set."""
-    return {
-        each.totals[2].name: accounting.contents_set[each.name]
-        for each in plan.scene.equations
-        if each.totals
-    }
 
 
 def largest_speed(velocity: np.ndarray) -> float:
@@ -607,12 +619,25 @@ DELETED_FIELDS = tuple(
         )
     )
 )
-"""Fields of deleted particles that their accounting needs."""
+"""Fields of deleted particles that their accounting needs in each scene."""
+CONTENT_FIELDS = ("mass", "material", "loss_heat", "loss_heat_ahead")
+"""Fields from which the content of particles follows, with the properties of the equations."""
+
+
+def content_fields(plan: Plan) -> tuple[str, ...]:
+    """CONTENT_FIELDS and the properties of the equations; none without equations."""
+    equations = tuple(each.name for each in plan.scene.equations)
+    return (*CONTENT_FIELDS, *equations) if equations else ()
+
+
+def deleted_fields(plan: Plan) -> tuple[str, ...]:
+    """Fields of deleted particles that their accounting needs."""
+    return tuple(dict.fromkeys((*DELETED_FIELDS, *content_fields(plan))))
 
 
 def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarray]:
-    """DELETED_FIELDS of the particles `first` to `last`, exclusive, in the order of their ids."""
-    arrays = copy_to_host(state, DELETED_FIELDS, first, last)
+    """`deleted_fields` of the particles `first` to `last`, exclusive, in the order of their ids."""
+    arrays = copy_to_host(state, deleted_fields(state.plan), first, last)
     by_id = np.argsort(arrays["id"])
     return {name: values[by_id] for name, values in arrays.items()}
 
@@ -620,7 +645,7 @@ def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarr
 def account_deleted(
     state: State, accounting: Accounting, arrays: Mapping[str, np.ndarray], counts_removed: bool
 ) -> None:
-    """Add deleted particles with the fields DELETED_FIELDS to the accounting.
+    """Add deleted particles with their `deleted_fields` to the accounting.
 
     counts_removed:  whether particles that are marked by `remove_particles` count here; those that a program
                      removes are counted there
@@ -641,6 +666,7 @@ def account_deleted(
         state.control.abort[0] = ABORT_LEFT_DOMAIN
         state.control.abort_particle[0] = int(arrays["id"][aborts].min())
     accounting.delete(arrays, outlet_index, np.array(state.plan.scene.gravity_at_start))
+    accounting.change_contents(state.plan, "deleted", arrays)
     accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
 
 

@@ -17,6 +17,7 @@ from granflow.arguments import shown
 from granflow.engine.engine import Engine
 from granflow.engine.host import present_indices, remove_particles, write_particles
 from granflow.engine.settings import set_property
+from granflow.engine.totals import content_fields
 from granflow.errors import GranflowError
 from granflow.geometry.sphere import sphere_mass
 from granflow.particles.group import ParticleData, SceneGroup
@@ -349,7 +350,15 @@ class LiveParticles:
             engine.begin_change()
             removed = self._with_clumps(np.unique(removed), indices)
             engine.accounting.count_removed(self._masses(removed))
+            self._count_contents("deleted", removed)
             remove_particles(engine.state, removed)
+
+    def _count_contents(self, change: str, indices: np.ndarray) -> None:
+        """Count the contents of particles (k,), such as their heat, as deleted or inserted."""
+        engine = self._engine
+        arrays = engine.copied(content_fields(engine.plan))
+        chosen = {name: values[indices] for name, values in arrays.items()}
+        engine.accounting.change_contents(engine.plan, change, chosen)
 
     def _with_clumps(self, chosen: np.ndarray, present: np.ndarray) -> np.ndarray:
         """Device indices `chosen`, with all spheres of their clumps; `present`: of all particles."""
@@ -435,7 +444,7 @@ class LiveParticles:
             present = np.asarray(getattr(self, name))
             compared = values
         rows = np.flatnonzero((present != compared).reshape(len(present), -1).any(axis=1))
-        is_content = name in engine.accounting.contents_set
+        is_content = name in [each.name for each in engine.plan.scene.equations]
         if not is_content:  # a property that all spheres of a clump have in common
             self._refuse_in_clumps("diameter" if name == "radius" else name, rows)
         engine.begin_change()
@@ -445,11 +454,12 @@ class LiveParticles:
             )
             return
         arrays = {name: values, **others}
-        write_particles(
-            engine.state,
-            present_indices(engine.state)[rows],
-            {key: array[rows] for key, array in arrays.items()},
-        )
+        indices = present_indices(engine.state)[rows]
+        if "mass" in others:
+            self._count_contents("deleted", indices)
+        write_particles(engine.state, indices, {key: array[rows] for key, array in arrays.items()})
+        if "mass" in others:
+            self._count_contents("inserted", indices)
 
     def _write_position(self, values: np.ndarray) -> None:
         in_domain(self._engine.plan, "particles.position", finite("particles.position", values))

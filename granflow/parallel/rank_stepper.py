@@ -29,7 +29,7 @@ from granflow.engine.neighbor.rebuild import ChunkKernel, RebuildKernel
 from granflow.engine.neighbor.sort import KEPT_REACH, find_farthest, remaining
 from granflow.engine.state import BATCH, LANES, Arrays, State
 from granflow.engine.stepper import Stepper
-from granflow.engine.totals import DELETED_FIELDS
+from granflow.engine.totals import deleted_fields
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.exchange import GhostExchange, LoadBalance, Share, migrated, migration_pays
@@ -192,7 +192,7 @@ class RankRebuild:
     only.
 
     state:       device data of this rank
-    on_deleted:  receives the arrays DELETED_FIELDS of the particles of all ranks that are deleted
+    on_deleted:  receives the arrays `deleted_fields` of the particles of all ranks that are deleted
     grow:        compiles all kernels again for arrays of larger capacities, (particles, list entries, longest
                  list)
 
@@ -364,7 +364,7 @@ class RankRebuild:
         """Indices of the particles that remain, and the others, see `engine.neighbor.deletion`."""
         stays = remaining(self._state, owned)
         deleted = {name: values[~stays] for name, values in owned.items()}
-        names = [name for name in DELETED_FIELDS if name in deleted]
+        names = [name for name in deleted_fields(self._state.plan) if name in deleted]
         all_deleted = joined_arrays(self._communicator.from_each({name: deleted[name] for name in names}))
         if len(all_deleted["id"]):
             self._on_deleted(all_deleted)

@@ -189,6 +189,13 @@ FURTHER_GIVERS = 2
 """Places behind those of the walls in sums of flows: the surroundings, and the sources in the particles."""
 
 
+def giver_count(plan: Plan) -> int:
+    """Places in sums of flows: the walls, FURTHER_GIVERS, and if viscous losses become heat, the walls again
+    with those of the next step, which are no present rate of a wall."""
+    walls = plan.capacities.walls
+    return walls + FURTHER_GIVERS + (walls if plan.features.loss_heat_ahead else 0)
+
+
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
     """Sums of each chunk, for the energy budget, wall forces and collisions, and the wear of walls.
 
@@ -202,7 +209,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     classes = 2 * plan.capacities.energy_classes
     wall_flows = len(plan.wall_flows)
     worn = plan.capacities.wear_rows
-    givers = (wall_rows, plan.capacities.walls + FURTHER_GIVERS)
+    givers = (wall_rows, giver_count(plan))
     has_external_work = energy_budget and plan.features.external_forces
     has_gravity_work = energy_budget and plan.features.changing_gravity
     has_image_work = energy_budget and plan.features.periodic != "none"

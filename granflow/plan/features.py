@@ -83,6 +83,11 @@ class Features:
         """Whether images across periodic boundaries have another velocity than their originals."""
         return self.lees_edwards or self.deforming_box
 
+    @property
+    def loss_heat_ahead(self) -> bool:
+        """Whether heat of losses belongs to the next half step in part, as that of viscous forces."""
+        return self.loss_heat and self.viscous_cohesion
+
 
 @dataclass(frozen=True)
 class Reason:

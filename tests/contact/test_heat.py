@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from clumps import clump_group
-from scene_builders import SOFT, box, build_scene, moving_lattice
+from scene_builders import SOFT, box, build_scene, moving_lattice, particle_group, plane
 
 from granflow import Scene, Simulation
 from granflow.contact.heat.conduction import Conduction
@@ -424,6 +424,91 @@ def test_stages_set_temperatures_and_sources_of_heat():
     gained = totals["heat_content"] - start["heat_content"]
     assert gained == pytest.approx(walls + totals["source_heat"] + totals["heat_content_set"], rel=1e-10)
     assert changed["heat_content_set"] - added == pytest.approx(10.0 * CAPACITY, rel=1e-6)
+
+
+def test_viscous_losses_become_heat_when_the_budget_counts_them(taichi_f64):
+    """The loss of a viscous force has the mean of its power at both ends of a step: of the present power, half
+    belongs to the next step. A wall vanishes while bridges are stretched, so that the forces are computed again.
+    """
+    balls = particle_group([[0, 0, 0.0056], [0, 0, 0.0162]], velocity=[[0, 0, -0.3], [0.1, 0, -0.8]])
+    rod = clump_group([[0.03, 0.0, 0.0024]], velocity=[0.2, 0.0, -0.5])
+    force = {"viscosity": 0.1, "min_separation_ratio": 0.01}
+    scene = build_scene(
+        {"balls": balls | {"temperature": COLD}, "rod": rod | {"temperature": COLD}},
+        {"hot": plane([0, 0, 0], [0, 0, 1], temperature=COLD), "lid": plane([0, 0, 0.03], [0, 0, -1], stages=["a"])},
+        materials={"glass": SOFT | {"thermal_conductivity": 1.0, "heat_capacity": 500.0}},
+        contact={
+            "normal": "hertz", "tangential": "mindlin", "rolling": "none",
+            "cohesion": {"law": "capillary", "viscous_force": force},
+            "heat": {"law": "conduction", "from_dissipation": True},
+        },
+        pair={"friction": 0.4, "restitution": 0.6, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-9},
+        stages=[{"name": "a", "duration": 0.0012}, {"name": "b", "duration": 0.01}],
+        output={"interval": 1.0, "energy_budget": True}, run={"velocity_max": 2.0, "time_step": 2e-6},
+    )  # fmt: skip
+    with Simulation(scene, threads=2) as simulation:
+        start = simulation.snapshot().totals
+        for steps in (550, 201, 300):
+            simulation.step(steps)
+            totals = simulation.snapshot().totals
+            lost = sum(totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping"))
+            lost += ended_contacts_dissipation(simulation.engine.state)
+            heat = totals["heat_content"] - start["heat_content"] - totals["wall_heat.hot"]
+            assert totals["damping_dissipation"] > 3e-5 and totals["wall_heat.hot"] < -1e-5
+            assert heat == pytest.approx(lost, rel=1e-8)
+
+
+def test_total_energy_with_inlet_and_outlet_is_closed(taichi_f64):
+    """Hot particles enter through a face, slide on a floor with friction and leave in an outlet; a program removes
+    two.
+
+    The heat of the particles present, inserted and deleted and of the floor equals the losses. The total
+    energy has the error of the integration of the motion.
+    """
+    inlet = {
+        "material": "glass", "diameter": 0.005, "velocity": [3.0, 0.0, -0.6], "temperature": 500.0,
+        "insert": {
+            "kind": "inlet", "rate": 1500.0,
+            "face": {"disc": {"center": [-0.005, 0.0, 0.006], "normal": [1, 0, 0], "radius": 0.006}},
+        },
+    }  # fmt: skip
+    rods = clump_group([[0.01, 0.0, 0.004]], ROD, 1.4e-3, velocity=[2.0, 0.0, -0.3], temperature=HOT)
+    thermal = {"thermal_conductivity": 50.0, "heat_capacity": CAPACITY_OF_FLOW}
+    contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none"}
+    scene = build_scene(
+        {"inlet": inlet, "rods": rods}, {"floor": plane([0, 0, 0], [0, 0, 1], temperature=350.0)},
+        materials={"glass": SOFT | thermal}, contact=contact | {"heat": {"law": "conduction", "from_dissipation": True}},
+        pair={"friction": 0.4, "restitution": 0.6}, gravity=[0.0, 0.0, -9.81],
+        domain={"min": [-0.02] * 3, "max": [0.03, 0.02, 0.02], "on_exit": "delete"},
+        outlets={"end": {"half_space": {"point": [0.025, 0, 0], "normal": [1, 0, 0]}}},
+        output={"interval": 1.0, "energy_budget": True}, numerics={"chunk_size": 16},
+        run={"duration": 0.03, "velocity_max": 6.0, "time_step": 1e-6},
+    )  # fmt: skip
+    with Simulation(scene, threads=2) as simulation:
+        start = simulation.snapshot().particles
+        simulation.step(16000)
+        simulation.particles.remove(np.argsort(simulation.particles.position[:, 2])[-2:])
+        simulation.step(500)
+        totals = simulation.snapshot().totals
+        inserted_mass = totals["deleted_mass"] + simulation.particles.mass.sum()
+    assert totals["outlet_count.end"] > 10 and totals["deleted_count"] == totals["outlet_count.end"] + 2.0
+    lost = sum(totals[f"{name}_dissipation"] for name in ("plastic", "friction", "rolling", "damping"))
+    brought = totals["heat_content_inserted"] - totals["heat_content_deleted"]
+    heat = totals["heat_content"] - brought - totals["wall_heat.floor"]
+    assert heat == pytest.approx(lost, rel=1e-9)
+    rod_mass = start["mass"][start["group"] == 1].sum()
+    expected = CAPACITY_OF_FLOW * (HOT * rod_mass + 500.0 * (inserted_mass - rod_mass))
+    assert totals["heat_content_inserted"] == pytest.approx(expected, rel=1e-12)
+    mechanical = sum(
+        totals[f"{name}_energy"] for name in ("kinetic", "rotational", "gravitational", "elastic")
+    )
+    residual = mechanical + totals["removed_energy"] + heat - totals["wall_work"]
+    assert abs(residual) < 1e-6 * totals["heat_content_inserted"]
+    assert lost > 100.0 * abs(residual)
+
+
+CAPACITY_OF_FLOW = 0.05
+"""Heat capacity [J/kg/K] with which the losses are a visible part of the heat."""
 
 
 def test_a_setting_without_particles_is_a_warning(caplog):
