@@ -282,7 +282,7 @@ def pair_properties(parts: PartialScene) -> Iterator[Fault]:
                 slot, names = next(iter(known.items()))
                 required = type(pair).model_fields[name].is_required()
                 remedy = "write 0" if required else f"remove {name}"
-                reason = f"contact.{slot} is {contact.name(slot)}; {remedy}, or choose {' or '.join(names)}"
+                reason = f"contact.{slot} is {contact.name(slot)}; {remedy}, or choose {alternatives(names)}"
                 yield Fault(path, reason)
 
 
