@@ -29,12 +29,16 @@ class Flows:
 
     A clump has one value of each property, of which each of its spheres has a copy. Each copy takes the same
     step with the flows to all spheres of the clump, in the order of their ids, as `ClumpMotion` does.
+
+    A particle that is attached to a wall with a value of the property keeps that value, as a part of the
+    wall; what flows to it flows to the wall.
     """
 
     def __init__(self, state: State) -> None:
         self.state = state
         self.particles = state.particles
         self.control = state.control
+        self.walls = state.walls
         self.chunk_size = state.parameter("chunk_size")
         self.to_grid = build_to_grid(ti.f64)
         self.one_material = state.plan.features.one_material
@@ -95,6 +99,11 @@ class Flows:
             ]
             self.surroundings_read = self._fields(("radius", *law.particle_properties))
             self.surroundings_sums = self._sums_of(law.flows)
+        self.held = [
+            (state.walls.values[equation.name][1], self._sums_of(equation.flows))
+            for equation in state.plan.scene.equations
+            if equation.name in state.plan.held_values
+        ]
         self.equations = [
             (
                 equation,
@@ -104,6 +113,7 @@ class Flows:
             )
             for equation in state.plan.scene.equations
         ]
+        self.held_names = list(state.plan.held_values)
 
     def _fields(self, names: Any) -> list[tuple[str, Any]]:
         """Fields of the particles with their names."""
@@ -348,11 +358,53 @@ class Flows:
             found = ti.Struct(
                 {name: self._flow_of_body(i, dt, name, field) for name, field in ti.static(sums)}
             )
-            changed = values[i] + ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
+            change = ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
+            if ti.static(equation.name in self.held_names):
+                if self._is_held(i, self.walls.values[equation.name][1]):
+                    change = 0.0 * change
+            changed = values[i] + change
             values[i] = changed
             if not changed - changed == 0.0:  # infinite, or not a number
                 ti.atomic_max(self.control.abort[0], ABORT_RATE)
                 ti.atomic_min(self.control.abort_particle[0], self.particles.id[i])
+
+    @ti.func
+    def _is_held(self, i, given: ti.template()):
+        """Whether the wall to which particle i is attached has a value of a property."""
+        w = self.particles.attached_to[i]
+        return w >= 0 and given[ti.max(w, 0)] > 0.0
+
+    @ti.func
+    def give_to_wall(self, chunk, i, time_step):
+        """Add what flows to a particle that is attached to a wall, and its losses, to those of the wall if it
+        holds the property, after all contacts of the chunk.
+
+        time_step:  as of a normal model [s]
+
+        Reads:   attached_to, the sums
+        Writes:  wall_flows, wall_flows_ahead, loss_heat, loss_heat_ahead
+        """
+        for given, sums in ti.static(self.held):
+            if self._is_held(i, given):
+                w = self.particles.attached_to[i]
+                for name, field, _ in ti.static(sums):
+                    if ti.static(name in self.wall_term):
+                        k = ti.static(self.wall_term[name])
+                        self._add_to_wall(chunk, w, k, -ti.cast(time_step, ti.f64) * field[i], True)
+                        if ti.static(self.has_loss_heat and name == self.loss_flow):
+                            self._give_losses_to_wall(chunk, i, w, k)
+
+    @ti.func
+    def _give_losses_to_wall(self, chunk, i, w, k: ti.template()):
+        unit = self.loss_heat_unit()
+        if ti.static(self.has_loss_ahead):
+            ahead = self.loss_heat_ahead[i]
+            place = ti.static(self.loss_place) + w
+            self._add_to_wall(chunk, place, k, -ti.cast(ahead, ti.f64) * unit, True)
+            self.loss_heat[i] = self.loss_heat[i] - ahead
+            self.loss_heat_ahead[i] = ti.cast(0, ti.i64)
+        self._add_to_wall(chunk, w, k, -ti.cast(self.loss_heat[i], ti.f64) * unit, False)
+        self.loss_heat[i] = ti.cast(0, ti.i64)
 
     @ti.func
     def _add_to_wall(self, chunk, w, k: ti.template(), amount, ahead: ti.template()):

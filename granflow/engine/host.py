@@ -551,6 +551,9 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         of_group = np.array(values)[new.group]
         given = new.initial_values.get(name, np.full(count, np.nan))
         arrays[name] = np.where(np.isnan(given), of_group, given)
+    for name, held in plan.held_values.items():
+        of_wall = np.array([np.nan if each is None else each for each in held])[new.group]
+        arrays[name] = np.where(np.isnan(of_wall), arrays[name], of_wall)
     if plan.features.liquid_transfer:
         arrays["liquid_film"] = _films(plan, new.group, sphere_volume(new.radius))
     return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays

@@ -15,7 +15,8 @@ from granflow.scene.blocks.settings import StageSetting
 def apply_settings(state: State, accounting: Accounting, settings: Sequence[StageSetting]) -> list[int]:
     """Set the properties of the particles that are present, in the order of the settings.
 
-    A clump takes them if its center of mass is in the region.
+    A clump takes them if its center of mass is in the region. Particles keep what a wall holds to which they
+    are attached.
 
     Returns the number of particles, of all ranks, to which each setting applies. All ranks call this.
     """
@@ -34,10 +35,12 @@ def apply_settings(state: State, accounting: Accounting, settings: Sequence[Stag
             chosen &= setting.region.distance(points) <= 0.0
         indices = np.flatnonzero(chosen)
         for name, value in setting.values.items():
+            held = state.plan.held_values.get(name, (None,) * len(groups))
+            free = np.array([each is None for each in held])[group[indices]]
             values = np.full(len(indices), value)
             if name in sources:  # that of a clump is released in its spheres
                 values *= share[indices]
-            set_property(state, accounting, name, indices, values)
+            set_property(state, accounting, name, indices[free], values[free])
         counts.append(int(state.ranks.total(np.array([[len(indices)]]))[0][0]))
     return counts
 

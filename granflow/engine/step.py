@@ -321,6 +321,8 @@ class TimeStep:
             for i in range(first, end):
                 if self.particles.attached_to[i] >= 0:
                     self.attached.add_to_wall(chunk, i, pose, dt)
+                    if ti.static(self.has_flows):
+                        self.flows.give_to_wall(chunk, i, normal_time_step(dt, self.longest_time_step()))
         self.accounting.carry(chunk)
 
     @ti.func

@@ -495,6 +495,15 @@ class LiveParticles:
             raise GranflowError(
                 f"particles.temperature would be {values.min():.6g} K, but a temperature is above 0 K."
             )
+        held = self._engine.plan.held_values.get("temperature")
+        if held is not None:
+            of_wall = np.array([np.nan if each is None else each for each in held])[self._numbers("group")]
+            moved = np.flatnonzero(~np.isnan(of_wall) & (values != of_wall))
+            if len(moved):
+                raise GranflowError(
+                    f"particles.temperature: particle {np.asarray(self.id)[moved[0]]} is attached to a wall "
+                    f"and has its temperature, {of_wall[moved[0]]:.6g} K; leave it unchanged."
+                )
         self._refuse_unequal_in_clumps("temperature", values)
         self._write("temperature", values)
 

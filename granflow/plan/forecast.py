@@ -61,6 +61,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         sideways_findings(plan),
         flow_findings(plan),
         fixed_findings(plan),
+        wear_findings(plan),
         gap_findings(plan),
     )
     sentences = [f"{_key_and_place(scene, *path)}{rest}" for path, rest in findings]
@@ -83,6 +84,19 @@ def fixed_findings(plan: Plan) -> Iterator[Finding]:
             ": all particles are fixed, and fixed particles have no contacts with each other and with walls, "
             f"so that {alternatives(plan.laws.flows)} is 0. Leave out fixed: particles at rest can move.",
         )
+
+
+def wear_findings(plan: Plan) -> Iterator[Finding]:
+    """Particles that are attached to a wall with wear, which wear in its place."""
+    for name, group in plan.scene.particles.items():
+        wall = group.attached_to
+        if wall is not None and plan.scene.walls[wall].wear is not None:
+            yield (
+                ("walls", wall, "wear"),
+                f": the contacts of the particles {name}, which move with the wall, wear these particles, "
+                "and do not count as wear of its surface. Give the roughness by the mesh of the wall to "
+                "measure its wear.",
+            )
 
 
 def gap_findings(plan: Plan) -> Iterator[Finding]:

@@ -537,6 +537,19 @@ class Plan:
         }
 
     @cached_property
+    def held_values(self) -> dict[str, tuple[float | None, ...]]:
+        """For each property that a particle equation changes, the value of each group that is attached to a
+        wall with one, which it keeps; None for other groups. Without properties that no wall holds."""
+        found = {
+            equation.name: tuple(
+                self.wall_values[equation.name][wall] if wall >= 0 else None for wall in self.attached_walls
+            )
+            for equation in self.scene.equations
+            if equation.name in self.wall_values
+        }
+        return {name: values for name, values in found.items() if any(each is not None for each in values)}
+
+    @cached_property
     def wall_value_ranges(self) -> dict[str, tuple[float, float]]:
         """Smallest and largest of them; 0 if none is given."""
         given = {key: [each or 0.0 for each in values] or [0.0] for key, values in self.wall_values.items()}

@@ -482,6 +482,21 @@ def attached_particles(parts: PartialScene) -> Iterator[Fault]:
         elif wall is not None and wall.has_belt:
             reason = "which moves its surface and not its geometry, with which the particles move"
             yield Fault(path, f"the wall has a surface velocity, {reason}; use another wall")
+        elif getattr(wall, "heat_flux", None) is not None:
+            reason = "which particles receive that touch it, and those that move with it touch no wall"
+            yield Fault(path, f"the wall has a heat_flux, {reason}; give the group a heat_source instead")
+
+
+def values_of_attached_particles(parts: PartialScene) -> Iterator[Fault]:
+    """Particles that move with a wall have its values of properties that equations change."""
+    for name, group in parts.scene.particles.items():
+        wall = parts.scene.walls.get(group.attached_to or "")
+        for equation in parts.scene.equations:
+            given = getattr(group, equation.name)
+            held = getattr(wall, equation.name, None)
+            if given is not None and held is not None and given != held:
+                reason = f"the particles are parts of {group.attached_to}, which has {held:g} {equation.unit}"
+                yield Fault(("particles", name, equation.name), f"{reason}; give the same value")
 
 
 def wear_materials(parts: PartialScene) -> Iterator[Fault]:
@@ -1037,6 +1052,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("contact", "pairs", "stages"), equation_values),
     (("contact",), wall_values),
     (("particles",), attached_particles),
+    (("particles", "contact", "walls"), values_of_attached_particles),
     (("particles", "materials"), wear_materials),
     (("contact", "output"), heat_options),
     (("contact", "pairs"), material_values),

@@ -458,6 +458,65 @@ def test_viscous_losses_become_heat_when_the_budget_counts_them(taichi_f64):
             assert heat == pytest.approx(lost, rel=1e-8)
 
 
+def rough_plate_scene(**of_rough):
+    """Warm spheres and a rod fall with bridges onto particles that are parts of a hot plate in motion."""
+    rough = particle_group(0.005 * np.argwhere(np.ones((4, 4, 1))), 0.004, temperature=HOT)
+    sites = [[0.0025, 0.0025, 0.0041], [0.0076, 0.0074, 0.0044], [0.0124, 0.0026, 0.0041]]
+    balls = particle_group(sites, 0.006, velocity=[0.2, 0.0, -0.8], temperature=COLD)
+    rod = clump_group([[0.0076, 0.0135, 0.0043]], velocity=[0.0, 0.0, -0.8], temperature=COLD)
+    plate = {
+        "shape": "rectangle", "corner": [-0.01, -0.01, 0.0], "sides": [[0.04, 0, 0], [0, 0.04, 0]], "material": "glass",
+        "temperature": HOT, "motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-4, "frequency": 300.0},
+    }  # fmt: skip
+    viscous = {"law": "capillary", "viscous_force": {"viscosity": 0.05, "min_separation_ratio": 0.02}}
+    return build_scene(
+        {"rough": rough | {"fixed": {"to": "plate"}} | of_rough, "balls": balls, "rod": rod}, {"plate": plate},
+        materials={"glass": SOFT | {"thermal_conductivity": 5.0, "heat_capacity": 0.5}},
+        contact={
+            "normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": viscous,
+            "heat": {"law": "conduction", "from_dissipation": True},
+        },
+        pair={"friction": 0.4, "restitution": 0.5, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
+        output={"interval": 1.0, "energy_budget": True}, run={"duration": 1.0, "velocity_max": 2.0, "time_step": 2e-6},
+    )  # fmt: skip
+
+
+def test_particles_of_a_hot_wall_keep_its_temperature_and_their_heat_is_that_of_the_wall(taichi_f64):
+    with Simulation(rough_plate_scene(heat_source=0.05), threads=2) as simulation:
+        start = simulation.snapshot().totals
+        simulation.step(700)
+        found = simulation.snapshot()
+        with pytest.raises(
+            GranflowError, match=r"particle 3 is attached to a wall and has its temperature, 400"
+        ):
+            simulation.particles.temperature[3] = 350.0
+        ended = ended_contacts_dissipation(simulation.engine.state)
+    temperature, totals = found.particles["temperature"], found.totals
+    is_rough = found.particles["group"] == 0
+    assert set(temperature[is_rough]) == {HOT} and temperature[~is_rough].min() > COLD + 0.1
+    assert len(set(temperature[-4:])) == 1, "the spheres of the rod"
+    lost = sum(totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping")) + ended
+    gained = totals["heat_content"] - start["heat_content"]
+    assert lost > 1e-5
+    assert gained == pytest.approx(lost + totals["wall_heat.plate"] + totals["source_heat"], rel=1e-8)
+    flow = -found.particles["heat_flow"][is_rough].sum()
+    assert flow != 0.0 and totals["wall_heat_flow.plate"] == pytest.approx(flow, rel=1e-9)
+
+
+def test_particles_of_a_wall_have_its_temperature_and_no_part_in_its_heat_flux_and_wear():
+    with pytest.raises(
+        SceneError, match=r"rough.temperature is 300.* parts of plate, which has 400 K; give the"
+    ):
+        Scene.from_dict(rough_plate_scene(temperature=COLD).to_dict())
+    scene = rough_plate_scene().to_dict()
+    scene["walls"]["plate"]["wear"] = {"law": "relative"}
+    warnings = " ".join(plan_for(Scene.from_dict(scene)).warnings)
+    assert "walls.plate.wear" in warnings and "wear these particles, and do not count as wear" in warnings
+    scene["walls"]["plate"] |= {"heat_flux": 10.0, "temperature": None}
+    with pytest.raises(SceneError, match=r"fixed.to is plate, but the wall has a heat_flux, which particles"):
+        Scene.from_dict(scene)
+
+
 def test_total_energy_with_inlet_and_outlet_is_closed(taichi_f64):
     """Hot particles enter through a face, slide on a floor with friction and leave in an outlet; a program removes
     two.
