@@ -58,6 +58,14 @@ class ClumpMotion:
         self.damping = state.built(Damping) if self.damps else None
 
     @ti.func
+    def moves(self, i):
+        """Whether sphere i is in a clump that is not fixed; those of a fixed one move as fixed spheres."""
+        found = self.particles.clump[i] >= 0
+        if ti.static(self.features.fixed_particles):
+            found = found and self.particles.fixed[i] == 0
+        return found
+
+    @ti.func
     def move(self, chunk, i, pose, dt):
         """Kick and drift sphere i; returns its displacement [m].
 

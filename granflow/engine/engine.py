@@ -581,7 +581,7 @@ class Engine:
             inertia = sphere_inertia(mass, arrays["radius"].astype(float)[:, None])
             arrays["angular_velocity"] = arrays["angular_velocity"] + half * arrays["torque"] / inertia
         if clumps:
-            in_clump = arrays["clump"][:, None] >= 0
+            in_clump = ((arrays["clump"] >= 0) & (mobility_mask(arrays) > 0.0))[:, None]
             arrays |= {name: np.where(in_clump, values, arrays[name]) for name, values in clumps.items()}
         return arrays
 

@@ -161,7 +161,7 @@ class TimeStep:
                 self.films.save(i)
             if ti.static(self.features.clumps):
                 displacement = 0.0 * self.particles.position[i]
-                if self.particles.clump[i] >= 0:
+                if self.clumps.moves(i):
                     if ti.static(self.has_flows):
                         self.flows.integrate(i, dt)
                     displacement = self.clumps.move(chunk, i, pose, dt)
@@ -181,8 +181,8 @@ class TimeStep:
 
     @ti.func
     def _kick_and_drift(self, chunk, i, gravity, shift, pose, dt):
-        """Kick and drift a sphere that is in no clump, or move it with its wall; returns its displacement
-        [m]."""
+        """Kick and drift a sphere that is in no clump or a fixed one, or move it with its wall; returns its
+        displacement [m]."""
         if ti.static(self.has_flows):
             self.flows.integrate(i, dt)
         mass = self.particles.mass[i]
@@ -705,7 +705,7 @@ def build_kick(state: State) -> Callable[..., None]:
     def kick(count: ti.i32, time: real, pose: ti.i32):
         for i in range(count):
             if ti.static(clumps):
-                if particles.clump[i] >= 0:
+                if clump_motion.moves(i):
                     clump_motion.kick(i, time, pose)
                     continue
             particles.velocity[i] = (

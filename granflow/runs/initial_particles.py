@@ -238,10 +238,11 @@ def _clumps_of_group(
     first = arrays["id"] == arrays["clump"]
     present = synchronized_clumps(arrays, 0.5 * time_step, gravity)
     count = int(first.sum())
+    share = 0.0 if group.spec.fixed else 1.0
     return ParticleData(
         position=arrays["clump_position"][first],
-        velocity=present["clump_velocity"][first],
-        angular_velocity=present["angular_velocity"][first],
+        velocity=share * present["clump_velocity"][first],
+        angular_velocity=share * present["angular_velocity"][first],
         radius=np.full(count, body.outer_radius),
         material=np.full(count, group.material_number, np.int32),
         group=np.full(count, group.number, np.int32),

@@ -177,6 +177,38 @@ def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
     assert last.totals["friction_dissipation"] > 0.0 and abs(last.totals["energy_error"]) < 1e-3
 
 
+def test_fixed_clumps_act_as_fixed_spheres(taichi_f64):
+    """A ball and a rod bounce on fixed rods, and on fixed spheres at their places, with the same motion; fixed
+    rods have no energy and remain at rest in gravity."""
+    sites, spheres = [[0.0, 0.0, 0.0], [0.0, 0.005, 0.0]], np.array(ROD)
+    falling = {
+        "ball": particle_group([[0.001, 0.002, 0.0085]], 0.01, velocity=[0.1, 0.0, -0.5]),
+        "rod": clump_group([[0.02, 0.0, 0.3]], velocity=[0.0, 0.1, 0.0]),
+    }
+    single = particle_group([site + each for site in np.array(sites) for each in spheres], 0.004)
+    found = []
+    for base in (clump_group(sites), single):
+        scene = small_scene(
+            falling | {"base": base | {"fixed": True}}, gravity=[0.0, 0.0, -9.81],
+            run={"duration": 0.02, "velocity_max": 2.0}, output={"interval": 1.0, "energy_budget": True},
+        )  # fmt: skip
+        found.append(run_to_end(scene, threads=1)[0])
+    clumps, others = found
+    base = clumps.particles["group"] == 2
+    for name in ("velocity", "angular_velocity", "clump_velocity", "clump_angular_momentum"):
+        assert not clumps.particles[name][base].any(), name
+    assert clumps.totals["friction_dissipation"] > 1e-6
+    for name in ("position", "velocity", "angular_velocity", "force"):
+        assert clumps.particles[name][:5] == pytest.approx(others.particles[name][:5], rel=1e-9, abs=1e-12), (
+            name
+        )
+    assert clumps.particles["position"][base] == pytest.approx(
+        np.array(single["insert"]["positions"]), abs=1e-15
+    )
+    for name in ("kinetic_energy", "rotational_energy", "gravitational_energy", "friction_dissipation"):
+        assert clumps.totals[name] == pytest.approx(others.totals[name], rel=1e-9), name
+
+
 def test_outlets_delete_whole_clumps(taichi_f64):
     """A clump is deleted when its center of mass is in the outlet, with all its spheres and its mass.
 

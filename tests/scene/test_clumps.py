@@ -38,7 +38,9 @@ SHEARED = {
     "lees_edwards": {"flow": "x", "gradient": "z", "rate": 1.0},
 }  # fmt: skip
 EXCLUDED = {
-    "`fixed` of the group": ({"fixed": True}, {}, "particles.rods.fixed is true, but clumps cannot be fixed"),
+    "`fixed: {to: WALL}` of the group": (
+        {"fixed": {"to": "floor"}}, {}, "particles.rods.fixed is {to: floor}, but clumps cannot move with a wall"
+    ),
     "`insert.kind` of the group: `file`, `python`": (
         {"insert": {"kind": "python"}}, {}, "particles.rods.insert.kind is python, but clumps are not inserted"
     ),

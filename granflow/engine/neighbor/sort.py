@@ -65,7 +65,7 @@ class Remaining:
         found = self.remains_at(self.particles.position[i], self.particles.radius[i], fixed)
         if ti.static(self.features.clumps):
             if self.particles.clump[i] >= 0:
-                found = self.remains_at(self.particles.clump_position[i], self.particles.radius[i], 0)
+                found = self.remains_at(self.particles.clump_position[i], self.particles.radius[i], fixed)
         return found
 
     @ti.func

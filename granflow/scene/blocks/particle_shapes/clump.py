@@ -182,12 +182,13 @@ class Clump(Model, ParticleShape):
             )
 
     def faults_in_group(self, group: Any) -> Iterator[Fault]:
-        """Clumps have no other size, move, and are inserted by the scene."""
+        """Clumps have no other size, move with no wall, and are inserted by the scene."""
         for key in ("diameter", "radius"):
             if getattr(group, key) is not None:
                 yield Fault((key,), f"the spheres of the clump define the sizes; remove {key}")
-        if group.fixed:
-            yield Fault(("fixed",), "clumps cannot be fixed; build the body of fixed spheres without clump")
+        if group.attached_to is not None:
+            reason = "clumps cannot move with a wall; build the body of spheres without clump, or write true"
+            yield Fault(("fixed",), reason)
         if not _places_clumps(type(group.insert)):
             others = alternatives(kinds(_places_clumps))
             yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {others}")
