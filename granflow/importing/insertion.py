@@ -856,8 +856,10 @@ def _lower_end(deck: Deck, region: Region, extent: tuple[float, ...], radius: fl
 
 
 def build(deck: Deck, draft: Draft) -> None:
-    """Write the block particles."""
-    for group in deck.particles:
+    """Write the block particles, of one insertion the largest first, as LIGGGHTS inserts them: the others
+    fill the space between them."""
+    order = {id(entry): number for number, (entry, *_) in enumerate(each.entries for each in deck.particles)}
+    for group in sorted(deck.particles, key=lambda each: (order[id(each.entries[0])], -each.radii[1])):
         keys = {"material": material_of(deck, group), **group.keys}
         draft.put(("particles", group_name(group)), keys, *group.entries)
 
