@@ -4,7 +4,7 @@
 """
 
 from dataclasses import dataclass, field
-from math import floor, hypot, inf, pi, sqrt
+from math import ceil, floor, hypot, inf, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from granflow.importing.meshes import FlatFace, flat_face
 from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
+from granflow.importing.schedule import stage_names
 from granflow.io.tables import is_number
 from granflow.schema.messages import suggestion_sentence
 from granflow.units import to_si
@@ -827,13 +828,33 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
         }
         if begin > 0.0:
             insert["start"] = quantity(begin, "time")
-        if begin + count / rate > end and end < deck.end:
-            insert["end"] = quantity(end, "time")
         if begin >= end:
             continue
+        if begin + count / rate > end and end < deck.end:
+            if any(abs(time - end) <= step for time in _stage_starts(deck)):
+                insert["end"] = quantity(end, "time")
+                left = count - rate * (end - begin)
+                fix.entry.approximated(
+                    f"about {left:.0f} particles that are in the region at {end:.6g} s, when a stage begins, "
+                    "are left out"
+                )
+            else:  # the batches that have appeared fall out of the region
+                appeared = ceil((end - begin) / interval) * min(batch, count)
+                count = int(min(count, appeared))
         name = fix.name if number == 1 else f"{fix.name}_{number}"
         values = {"count": count, "diameter": sizes, "velocity": velocity, "insert": insert}
         deck.particles.append(ParticleGroup(name, given.type, given.density, radii, values, (fix.entry,)))
+
+
+def _stage_starts(deck: Deck) -> list[float]:
+    """Times [s] at which stages begin, all commands being read."""
+
+    def starts() -> list[float]:
+        names = stage_names(deck)
+        first = {name: deck.runs[index].start for index, name in reversed(names.items())}
+        return list(first.values())
+
+    return list(deck.own("stage_starts", starts))
 
 
 def _lower_end(deck: Deck, region: Region, extent: tuple[float, ...], radius: float) -> FlatFace:

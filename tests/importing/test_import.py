@@ -323,6 +323,22 @@ def test_pour_enters_at_the_lower_end_of_its_region(tmp_path):
         assert ("with the time step at the line of the fix" in remarks(found, "fix p")[0][1]) is bool(change)
 
 
+@pytest.mark.parametrize(
+    ("between", "count", "end"), [("", 298, None), ("fix g all gravity 10 vector 0 0 -1\nfix h all gravity 1 vector 1 0 0", 894, "30 ms")]
+)  # fmt: skip
+def test_batches_of_pour_that_have_appeared_fall_after_unfix(tmp_path, between, count, end):
+    """Batches of 149 particles appear every 23.61 ms, the second before the end of the first run at 30 ms. If a stage
+    begins then, what is still in the region is left out."""
+    model = "pair_style gran/hooke/history 1000 NULL 300 NULL 0.5 1"
+    text = LAMMPS.format(model=model).replace("chute 30", "vector 0 0 -1")
+    source = "region s block 0.04 0.06 0.04 0.06 0.1 0.15\nfix p all pour 1000 1 7 region s diam one 0.004 dens 2500 2500"
+    text = re.sub("fix p all pour.*", f"{source} vel 0 0 0 0 -2", text)
+    text = text.replace("run 100\n", f"run 3000\nunfix p\n{between}\nrun 30000\n")
+    _, scene = imported(tmp_path, text)
+    group = scene["particles"]["p"]
+    assert (group["count"], group["insert"].get("end")) == (count, end)
+
+
 # Reports and errors
 
 
