@@ -22,6 +22,7 @@ from pydantic_core import ErrorDetails
 
 from granflow.schema.document import Document, Node, Problem
 from granflow.schema.faults import Fault, KeyPath, missing, whole
+from granflow.visible_text import alternatives
 
 _CLOSE = 0.6  # similarity from which a name is suggested
 
@@ -304,6 +305,9 @@ class _SchemaError:
             return whole(self.path, "is not a known key: this contact model has no options")
         if self.type == "extra_forbidden":
             remedy = suggestion_or_list(str(self.path[-1]), self.keys(), "known keys")
+            homes = blocks_with(self.schema, str(self.path[-1]))
+            if 0 < len(homes) <= MOST_HOMES and nearest(str(self.path[-1]), self.keys()) is None:
+                remedy = f"It is a key of {alternatives(homes)}. {remedy}"
             if str(self.path[-1]).isdecimal():
                 remedy = f"Numbers have a decimal point, not a comma: such as 0.{self.path[-1]}."
             return whole(self.path, f"is not a known key. {remedy}")
@@ -384,6 +388,40 @@ def _word(node: Node) -> str:
     """A word as written, also that of `{law: WORD}`; empty for another mapping or a list."""
     law = node.child("law")
     return node.text if law is None else law.text
+
+
+# Blocks that have a key
+
+MOST_HOMES = 3
+"""Largest number of blocks with a key that a message names; a key of more blocks has several meanings."""
+
+
+def blocks_with(schema: type[BaseModel], key: str) -> tuple[str, ...]:
+    """Key paths of the blocks that have a key, such as pairs.NAME, the outer ones first; "the first level"
+    for the document itself."""
+    found: dict[str, None] = {}
+    seen = {schema}
+    waiting: list[tuple[str, type[BaseModel]]] = [("", schema)]
+    for path, model in waiting:
+        for name, field in model.model_fields.items():
+            if key == (field.alias or name):
+                found[path or "the first level"] = None
+            inner = f"{path}.{field.alias or name}".lstrip(".")
+            for part, suffix in _models_in(field.annotation):
+                if part not in seen:
+                    seen.add(part)
+                    waiting.append((inner + suffix, part))
+    return tuple(found)
+
+
+def _models_in(annotation: Any) -> Iterator[tuple[type[BaseModel], str]]:
+    """The models in a type, each with ".NAME" if it is an entry of a mapping."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation, ""
+    is_mapping = get_origin(annotation) is dict
+    for each in get_args(annotation):
+        for model, suffix in _models_in(each):
+            yield model, f".NAME{suffix}" if is_mapping else suffix
 
 
 # The part of the schema at the location of an error
