@@ -59,6 +59,7 @@ OPTIONS = {
     "two_spheres": ["--view", "front", "--fit", "particles"],
     "sheared_layer": ["--view=1,-2,0.6", "--fit", "particles"],
     "shear_cell": ["--view=1,-2,0.6", "--color", "velocity.x", "--fit", "particles"],
+    "triaxial": ["--view=1,-2,0.6", "--color", "coordination_number", "--fit", "particles"],
     "shear_tester": ["--view=1,-2,0.6", "--color", "velocity.x", "--fit", "particles"],
 }
 """Arguments of `granflow render` for each scene."""

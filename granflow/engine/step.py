@@ -13,7 +13,8 @@ and for viscous forces of cohesion models the angular velocity as well.
 
 Walls with a prescribed motion take the next of the poses that the host has uploaded (`walls.py`);
 force-controlled walls move by the force that the particles exerted on them (`wall_dynamics.py`), and
-particles that are attached to a wall move with it (`attached.py`). Then the forces are summed: weight, wall
+particles that are attached to a wall move with it (`attached.py`). The widths of a deforming box change
+before the particles move (`deformation.py`). Then the forces are summed: weight, wall
 contacts, particle contacts (`contact.py`, on a CPU `batch.py`), external forces and damping
 (`particle_forces.py`). All sums are exact (`sums.py`), so that their order does not matter.
 
