@@ -46,10 +46,10 @@ def test_indentation_shows_the_end_of_every_function_of_the_package():
     found = 0
     for path in Path(granflow.__file__).parent.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
+        lines = text.splitlines(keepends=True)
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef):
                 first = min([node.lineno, *(each.lineno for each in node.decorator_list)]) - 1
-                lines = text.splitlines(keepends=True)
                 end = end_of_function(lines, first)
                 rest = [line for line in lines[node.end_lineno : end] if not line.strip().startswith("#")]
                 assert end >= node.end_lineno and not "".join(rest).strip(), f"{path}:{node.lineno}"

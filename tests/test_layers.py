@@ -46,17 +46,19 @@ def modules():
     return {module_name(path): (path, ast.parse(path.read_text(encoding="utf-8"))) for path in paths}
 
 
+@cache
 def imports(name):
     """The absolute dotted names of all imports in a module; submodules rather than their packages."""
     path, tree = modules()[name]
+    found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = resolved(name, path, node)
-            for alias in node.names:
-                inner = f"{base}.{alias.name}"
-                yield inner if inner in modules() else base
+            inner = [f"{base}.{alias.name}" for alias in node.names]
+            found += [each if each in modules() else base for each in inner]
+    return found
 
 
 def resolved(name, path, node):
