@@ -195,6 +195,9 @@ def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, l
         slope = slope_of_plane(np.column_stack([x, y, height]), np.full(len(x), 0.5), 0.5)
         assert not slope.reason if is_slope else reason in slope.reason
         assert slope.angle == pytest.approx(np.arctan(0.5)) if is_slope else np.isnan(slope.angle)
+        if is_slope:  # of the gradient sqrt(S / (n - 3) / sum of x^2); d arctan(g) = dg / (1 + g^2)
+            error = np.sqrt(share / (1.0 - share) / (len(x) - 3) / 4.0)
+            assert slope.error == pytest.approx(error / 1.25, rel=1e-9)
 
 
 def contacts_along(directions):

@@ -167,6 +167,13 @@ def test_rows_are_assigned_to_the_group_of_their_material(tmp_path):
     ]
 
 
+def test_the_first_row_outside_of_the_domain_is_named(tmp_path):
+    rows = "x,y,z,d\n0,0,0,4e-3\n9,0,0,4e-3\n0.01,0,0,4e-3\n0,9,0,4e-3\n"
+    assert problems(tmp_path, FILE, start=rows) == [
+        "start.csv:3: this particle and 1 more lie outside the domain."
+    ]
+
+
 CONFLICTS = {
     "    count: 4\n" + FILE: "18:12: particles.beads.count is 4, but start.csv has 3 rows for it.",
     "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; remove it.",
