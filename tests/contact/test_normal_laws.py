@@ -7,15 +7,19 @@ from contact.cases import (
     CONTINUOUS,
     MASS,
     PERTURBATION,
+    PLAIN,
     RADIUS,
     TIME_STEP,
     Units,
     evaluate_path,
     evaluate_reference,
+    law_parameters,
     random_paths,
+    single_contact,
 )
 
 from granflow.contact.registry import models
+from granflow.kernel_language import ti
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 every_continuous_law = pytest.mark.parametrize("case", CONTINUOUS, ids=str)
@@ -189,3 +193,31 @@ def test_wall_is_the_limit_of_a_growing_partner(taichi_f64, case):
     else:
         assert ten_thousand <= 1e-4
         assert ten_thousand / million == pytest.approx(100.0, rel=0.01)
+
+
+DAMPED = [each for each in PLAIN if "damping" in vars(type(each.law())) and each.pair().restitution != 1.0]
+"""Cases of laws with a dashpot that loses energy."""
+
+
+@pytest.mark.parametrize("case", DAMPED, ids=str)
+def test_damping_is_the_ratio_of_the_viscous_force_to_the_rate(taichi_f64, case):
+    """Dashpots of tangential models follow `damping`; at a small rate and step, no law averages over the step."""
+    laws = case.laws()
+    read_constants, new_history, contact_of, force_of, *_ = single_contact(laws)
+    row = ti.types.ndarray(ti.f64, 1)
+
+    @ti.kernel
+    def evaluate(pair: row, parameters: row, overlap: row, ratio: row, damping: row):
+        for i in range(overlap.shape[0]):
+            constants = read_constants(pair, parameters)
+            contact = contact_of(RADIUS, MASS, 1e-12, overlap[i], 1e-6)
+            _force, _load, viscous, history = force_of(constants, contact, new_history())
+            ratio[i] = viscous / 1e-6
+            damping[i] = laws.normal.damping(constants.normal, contact, history.normal)
+
+    assert {each.law().name for each in DAMPED} == {"hertz", "linear", "eepa", "kuwabara_kono"}
+    overlap = RADIUS * np.array([1e-4, 1e-3, 0.01, 0.1])
+    ratio, damping = np.zeros((2, len(overlap)))
+    evaluate(np.array(laws.pair_constants(case.pair())), law_parameters(laws), overlap, ratio, damping)
+    assert damping.min() > 0.0
+    np.testing.assert_allclose(damping, ratio, rtol=1e-6)
