@@ -131,6 +131,7 @@ os.environ.setdefault("HOME", os.path.expanduser("~"))
 
 _LOCATIONS = {
     "ArchardWear": "granflow.scene.blocks.wear.ArchardWear",
+    "AxisDeformation": "granflow.scene.blocks.deformation.AxisDeformation",
     "Box": "granflow.scene.blocks.primitives.Box",
     "BoxOutlet": "granflow.scene.blocks.outlets.BoxOutlet",
     "BoxRegion": "granflow.scene.blocks.insertions.BoxRegion",
@@ -149,11 +150,10 @@ _LOCATIONS = {
     "Cylinder": "granflow.scene.blocks.walls.revolved.Cylinder",
     "CylinderRegion": "granflow.scene.blocks.insertions.CylinderRegion",
     "Damping": "granflow.scene.blocks.run.Damping",
+    "Deformation": "granflow.scene.blocks.deformation.Deformation",
     "Disc": "granflow.scene.blocks.walls.revolved.Disc",
     "DiscFace": "granflow.scene.blocks.insertions.DiscFace",
     "DiscOutlet": "granflow.scene.blocks.outlets.DiscOutlet",
-    "AxisDeformation": "granflow.scene.blocks.deformation.AxisDeformation",
-    "Deformation": "granflow.scene.blocks.deformation.Deformation",
     "Domain": "granflow.scene.blocks.domain.Domain",
     "Expectation": "granflow.scene.blocks.output.Expectation",
     "FabricMetric": "granflow.scene.blocks.metrics.FabricMetric",

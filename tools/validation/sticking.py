@@ -82,6 +82,11 @@ def displacement_rescaled(s: float, growth: float) -> float:
     return s * min(growth, 0.0)
 
 
+def no_spring(s: float, growth: float) -> float:
+    """There is a dashpot alone."""
+    return 0.0
+
+
 KEPT = {"law": "mindlin", "increments": "displacement", "unloading": "kept"}
 RESCALED = {"law": "mindlin", "increments": "displacement", "unloading": "rescaled"}
 FORCE_KEPT = {"law": "mindlin", "unloading": "kept"}
@@ -98,6 +103,9 @@ IMPACTS: Mapping[str, Impact] = {
         "hertz", {"law": "mindlin", "damping": 1.0}, 0.8, 0.3, 0.4, force_rescaled, 1.0
     ),
     "linear_history": Impact("zhou", {"law": "linear_history", "stiffness": STIFFNESS}, 0.8, 0.3, 0.4, None),
+    "sliding_dashpot, hertz, e = 0.8": Impact(
+        "hertz", {"law": "sliding_dashpot", "damping": 1.0}, 0.8, 0.05, 0.4, no_spring, 1.0
+    ),
 }
 """Impacts by name. They stick first; except for the first they slide before they separate."""
 
@@ -174,6 +182,7 @@ def rebound(impact: Impact) -> tuple[float, float]:
             slope = (k * largest**1.5 - e**3 * k * (y * largest) ** 1.5) / (y * largest)
             force = slope * above + e**3 * k * above**1.5
         kt = STIFFNESS if impact.spring is None else 8.0 * pair.shear_modulus * math.sqrt(RADIUS * d)
+        kt = 0.0 if impact.spring is no_spring else kt
         arm = RADIUS - 0.5 * d
         slip = along - arm * rotation
         if impact.spring is not None and kt_before > 0.0:
@@ -182,7 +191,7 @@ def rebound(impact: Impact) -> tuple[float, float]:
         viscosity = impact.damping * (force - k * d**1.5) / rate if viscous and rate != 0.0 else 0.0
         trial = -kt * s - viscosity * slip
         tangential = max(min(trial, impact.friction * force), -impact.friction * force)
-        if tangential != trial:
+        if tangential != trial and kt > 0.0:
             s = -(tangential + viscosity * slip) / kt
         rate -= step * force / mass
         along += step * tangential / mass
