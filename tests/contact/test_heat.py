@@ -481,6 +481,7 @@ def rough_plate_scene(**of_rough):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_particles_of_a_hot_wall_keep_its_temperature_and_their_heat_is_that_of_the_wall(taichi_f64):
     with Simulation(rough_plate_scene(heat_source=0.05), threads=2) as simulation:
         start = simulation.snapshot().totals

@@ -318,6 +318,7 @@ def pushed(position, velocity, radius, mass, time, parameters):
     return ti.Vector([0.0 * along_y, along_y, 0.0 * along_y])
 
 
+@pytest.mark.slow
 def test_forces_from_python_turn_clumps_and_do_work_on_them(taichi_f64):
     """A rod along x, with the force m (k x - c v_y) e_y on each sphere: in a short time t, without resistance,
     w_z = k t sum(m x^2) / I_z, and with it the velocity k X (1 - exp(-c t)) / c of a rod at X, to first order.

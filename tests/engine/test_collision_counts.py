@@ -120,6 +120,7 @@ def test_each_contact_of_a_gas_counts_once(taichi_f64):
     assert new["particle"] > 100 and new["wall"] > 20
 
 
+@pytest.mark.slow
 def test_sphere_that_slides_over_the_triangles_of_a_mesh_collides_once(taichi_f64, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # in which scenes without a file look for meshes
     x, y = np.meshgrid(np.linspace(-0.02, 0.2, 23), np.linspace(-0.02, 0.02, 5), indexing="ij")

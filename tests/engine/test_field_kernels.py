@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from subprocess_runner import in_subprocess
 
 from granflow import start
@@ -61,6 +62,7 @@ def wrong():
     return wrong_entries(), wrong_values()
 
 
+@pytest.mark.slow
 def test_each_entry_is_copied_cleared_and_read_to_the_host():
     """In a process of its own: fields of a program prevent that other tests restart Taichi."""
     assert in_subprocess(wrong) == [[[0, 0]] * 3, 0]

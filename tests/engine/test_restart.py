@@ -5,6 +5,7 @@ import os
 from hashlib import sha256
 from pathlib import Path
 
+import pytest
 from scene_builders import build_scene, particle_group
 from subprocess_runner import in_subprocess
 
@@ -82,6 +83,7 @@ def error_with_fields_of_the_program():
     return "", mine.to_numpy().tolist(), moved
 
 
+@pytest.mark.slow
 def test_fields_of_the_program_and_simulations_in_use_survive():
     message, values, moved = in_subprocess(error_with_fields_of_the_program)
     assert message.endswith(

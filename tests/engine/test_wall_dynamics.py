@@ -121,6 +121,7 @@ def test_floor_carries_the_weight_of_a_free_piston_at_rest(taichi_f64):
     assert abs(result["wall_displacement.piston"]) < 1e-12
 
 
+@pytest.mark.slow
 def test_displacement_of_a_free_wall_contains_its_prescribed_motions(taichi_f64):
     """Free fall upwards: x(t) = v t + F / (2 M) t^2 along z, while the wall turns about z and moves along x
     and z.

@@ -160,6 +160,7 @@ def on_plane(**more):
     )
 
 
+@pytest.mark.slow
 def test_a_wall_becomes_a_belt_while_the_simulation_runs(taichi_f64):
     """From then on a sphere at rest accelerates at mu g; before, the scene has no moving wall."""
     scene = on_plane(parts={"run": {"duration": 1.5 * ROLLING, "velocity_max": 0.3}})

@@ -279,6 +279,7 @@ def bridged_pairs(snapshot):
     return set(zip(*(contacts[name][has_bridge].tolist() for name in ("id_i", "id_j", "wall")), strict=True))
 
 
+@pytest.mark.slow
 def test_shaken_bed_conserves_liquid_exactly_and_spreads_it(taichi_f64):
     """The sum of films and bridges is the same number at all times, over a thousand ruptures.
 
@@ -314,6 +315,7 @@ def by_id(last):
     return arrays | {"bridges": last.totals["liquid_bridge_volume"]}
 
 
+@pytest.mark.slow
 def test_bridge_moves_with_the_contact_to_the_next_triangle_of_a_mesh(taichi_f64, tmp_path, monkeypatch):
     """A particle that slides along a floor keeps the volume of its bridge across edges."""
     monkeypatch.chdir(tmp_path)

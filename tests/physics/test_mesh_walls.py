@@ -113,6 +113,7 @@ def meshes():
     }
 
 
+@pytest.mark.slow
 def test_meshes_act_as_the_primitive_walls_that_they_replace(taichi_f64, folder):
     """Bit for bit on a flat mesh, including contact history across shared edges; within rounding on other meshes."""
     exact, _ = run_to_end(impacts(PRIMITIVES))
@@ -135,6 +136,7 @@ def test_meshes_act_as_the_primitive_walls_that_they_replace(taichi_f64, folder)
     assert counts.tolist() == [mesh.triangle_count for mesh in simulation.plan.meshes.values()]
 
 
+@pytest.mark.slow
 def test_a_belt_of_triangles_has_pressures_in_frames_and_drags_spheres(taichi_f64, folder):
     """F = 4/3 E* sqrt(R) d^(3/2), E* = E / (2 (1 - nu^2)) (Hertz) of spheres at rest with a known overlap.
 

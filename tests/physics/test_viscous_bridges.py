@@ -129,6 +129,7 @@ def test_force_and_torques_of_sliding_and_rolling_spheres(taichi_f64, law):
     assert abs(simulation.snapshot().totals["energy_error"]) < 1e-9
 
 
+@pytest.mark.slow
 def test_wall_has_the_effective_radius_of_the_sphere_and_takes_the_work_of_its_motion(taichi_f64):
     """A wall recedes from a sphere at rest: their relative velocity is that of the closed form with the mass and
     the radius of the sphere."""

@@ -133,6 +133,7 @@ def test_a_column_that_the_run_lacks_is_named(taichi_f64):
         stage_ends(press({"quantity": "queued_count", "above": 1}))
 
 
+@pytest.mark.slow
 def test_restart_within_a_held_condition_is_bit_identical(tmp_path, taichi_f64):
     output = {
         "interval": 5e-4, "timeseries_interval": ROW, "wall_forces": True, "checkpoint": {"interval": 3e-4, "keep": 100}
