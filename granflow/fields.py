@@ -800,6 +800,11 @@ ENERGY_BUDGET_QUANTITIES = by_name(
     )
 )
 """Totals that require `output.energy_budget`."""
+BOX_QUANTITIES = frozenset(
+    {name for name in _STATE_QUANTITIES if name.startswith("box_")}
+    | {"stress_ratio", "volumetric_strain", "solid_fraction"}
+)
+"""Totals that require a deforming box."""
 TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
 """Numbers of Snapshot.totals and columns of the time series."""
 

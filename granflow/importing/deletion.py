@@ -20,7 +20,10 @@ from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, number, quantities
 from granflow.importing.settings import scene_regions, stage_of_run
 
-NEAREST = "outlets, or a deletion of a region, a group or an atom-style variable of x, y, z and the radius"
+NEAREST = (
+    "outlets, or a deletion of a region, a group, a fraction or an atom-style variable of x, y, z and the "
+    "radius"
+)
 STYLES = ("group", "region", "overlap", "porosity", "random", "variable")
 POINT_ARRAYS = ("type", "radius", "density", "position", "motion", "fill")
 

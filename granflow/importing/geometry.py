@@ -105,7 +105,8 @@ def deform(deck: Deck, fix: Fix) -> None:
             continue
         fix.entry.impossible(
             f"the deformation {key} {style} of the box",
-            "a simple shear (xy erate RATE), or walls with motion: {kind: servo}",
+            "a simple shear (xy erate RATE), domain.deformation: {x: {strain_rate: RATE}} of a box without "
+            "walls, or walls with motion: {kind: servo}",
         )
         return
     if len(shears) > 1:

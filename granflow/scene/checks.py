@@ -16,6 +16,7 @@ from pydantic import BaseModel, Field, create_model
 from granflow.contact import registry
 from granflow.contact.law import SLOTS, Remedy
 from granflow.fields import (
+    BOX_QUANTITIES,
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
     INSERTION_QUANTITIES,
@@ -890,6 +891,19 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
             yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
         elif _total(quantity) in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
             yield Fault(path, "output.energy_budget is false; set it to true")
+        elif _total(quantity) in BOX_QUANTITIES:
+            yield from (Fault(path, reason) for reason in _missing_for_box(parts.scene, _total(quantity)))
+
+
+def _missing_for_box(scene: SceneInput, total: str) -> Iterator[str]:
+    """What the scene lacks for a total of a deforming box."""
+    periodic = scene.domain.periodic
+    needed = {"box_pressure": "xyz", "stress_ratio": "xyz"}.get(total, total[-1] if total[-2] == "_" else "")
+    lacking = ", ".join(axis for axis in needed if axis not in periodic)
+    if not any(True for _ in scene.deformations()):
+        yield "it requires a box that deforms; give domain.deformation, or the deformation of a stage"
+    elif lacking:
+        yield f"domain.periodic is {', '.join(periodic)}; it requires {lacking} there, too"
 
 
 def _total(quantity: str) -> str:
@@ -1059,7 +1073,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("output", "stages", "domain", "contact"), field_grids),
     (("output", "gravity", "stages", "domain"), metrics),
     (("output",), residence_time),
-    (("output", "expect", "stages"), expected_names),
+    (("output", "expect", "stages", "domain"), expected_names),
     (("output", "expect", "stages", "contact", "domain"), expected_parts),
     (("output", "expect", "stages"), expected_metrics),
     (("output", "expect", "stages", "domain"), wall_forces),

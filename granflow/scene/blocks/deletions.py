@@ -37,7 +37,7 @@ class StageDeletion(Model):
         examples=["any"],
     )
     fraction: Share | None = optional(
-        "fraction of these particles that is deleted, chosen at random with the seed of the scene",
+        "fraction of these particles that is deleted: each with this probability, by the seed of the scene",
         "all",
         examples=[0.1],
     )
