@@ -245,6 +245,10 @@ def convert(
     return Imported(draft, origin, files, report, code, tuple(interpreter.printed))
 
 
+MOVERS = ("nve", "nvt", "npt", "nph", "rigid", "multisphere")
+"""First parts of the styles of fixes that move particles."""
+
+
 def _draft(deck: Deck, path: Path) -> Draft:
     """Build the blocks of the scene."""
     if not any(run.steps for run in deck.runs):
@@ -252,6 +256,12 @@ def _draft(deck: Deck, path: Path) -> Draft:
     if deck.box is None:
         raise GranflowError(
             f"{path}: the script has no create_box or read_data, so that the box is not known."
+        )
+    if not any(fix.style.startswith(MOVERS) for fix in deck.all_fixes):
+        first = next(run for run in deck.runs if run.steps)
+        first.entry.approximated(
+            "no fix such as nve/sphere integrates the particles, so that the code does not move them; the "
+            "scene does"
         )
     draft = Draft()
     draft.put(("title",), path.name)

@@ -342,6 +342,14 @@ def test_batches_of_pour_that_have_appeared_fall_after_unfix(tmp_path, between, 
 # Reports and errors
 
 
+def test_particles_that_no_fix_integrates_are_told(tmp_path):
+    script = liggghts()
+    without, _ = imported(tmp_path, script.replace("fix i all nve/sphere\n", ""))
+    ((kind, sentence),) = remarks(without, "run 1000")
+    assert kind == "approximated" and sentence.startswith("no fix such as nve/sphere integrates")
+    assert "no fix such as" not in str(remarks(imported(tmp_path, script)[0], "run 1000"))
+
+
 def test_every_line_has_a_remark(tmp_path):
     found, _ = imported(tmp_path, liggghts())
     assert len(list(found.report.lines())) == liggghts().count("\n") - 2  # the empty first and third lines
