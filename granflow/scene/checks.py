@@ -432,7 +432,13 @@ def equation_values(parts: PartialScene) -> Iterator[Fault]:
         for path in scene.places_of(name) if not present.issuperset(flows) else ():
             missing_flow = f"no contact model of this scene has the flow {alternatives(flows)}"
             reason = f"has no effect: {missing_flow}{' that changes it' if name in needed else ''}"
-            yield whole(path, f"{reason}; remove it, or select such a model")
+            choices = [
+                f"contact.{slot}: {model}"
+                for slot in SLOTS
+                for model, each in registry.models(slot).items()
+                if set(flows) <= each.law.flows.keys()
+            ]
+            yield whole(path, f"{reason}; remove it, or select such a model, {alternatives(choices)}")
     for equation in scene.equations:
         for name, group in scene.particles.items():
             if getattr(group, equation.name) is None:
