@@ -742,6 +742,11 @@ _STATE_QUANTITIES = by_name(
         ),
         Quantity("liquid_bridge_volume", "", "m3", "liquid in the bridges; only with liquid transfer"),
         Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
+        *(Quantity(f"gravity_{axis}", "", "m/s2", f"gravity along {axis}, if it changes") for axis in "xyz"),
+    )
+)
+BOX_QUANTITIES = by_name(
+    (
         *(Quantity(f"box_width_{axis}", "", "m", f"width of a deforming box along {axis}") for axis in "xyz"),
         *(
             Quantity(f"box_strain_{axis}", "", "1", f"logarithmic strain of a deforming box along {axis}")
@@ -762,9 +767,9 @@ _STATE_QUANTITIES = by_name(
             "volumetric_strain", "", "1", "sum of the strains of a deforming box, negative in compression"
         ),
         Quantity("solid_fraction", "", "1", "volume of the particles over that of a deforming box"),
-        *(Quantity(f"gravity_{axis}", "", "m/s2", f"gravity along {axis}, if it changes") for axis in "xyz"),
     )
 )
+"""Totals that require a deforming box."""
 ENERGY_BUDGET_QUANTITIES = by_name(
     (
         Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, zero at the origin"),
@@ -800,12 +805,7 @@ ENERGY_BUDGET_QUANTITIES = by_name(
     )
 )
 """Totals that require `output.energy_budget`."""
-BOX_QUANTITIES = frozenset(
-    {name for name in _STATE_QUANTITIES if name.startswith("box_")}
-    | {"stress_ratio", "volumetric_strain", "solid_fraction"}
-)
-"""Totals that require a deforming box."""
-TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
+TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **BOX_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
 """Numbers of Snapshot.totals and columns of the time series."""
 
 

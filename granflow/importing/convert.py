@@ -20,7 +20,7 @@ from granflow.importing import (
     start,
 )
 from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
-from granflow.importing.groups import group_named
+from granflow.importing.groups import MOVERS, group_named
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
 from granflow.importing.scene_text import Draft
@@ -243,10 +243,6 @@ def convert(
     origin = f"Made by granflow import from {path.name}, a script of {code_name}; comments have its lines."
     files = {} if draft is None else draft.files
     return Imported(draft, origin, files, report, code, tuple(interpreter.printed))
-
-
-MOVERS = ("nve", "nvt", "npt", "nph", "rigid", "multisphere")
-"""First parts of the styles of fixes that move particles."""
 
 
 def _draft(deck: Deck, path: Path) -> Draft:

@@ -23,6 +23,9 @@ INTEGRATORS = (
     "multisphere",
 )
 """Styles of fixes that move particles."""
+MOVERS = ("nve", "nvt", "npt", "nph", "rigid", "multisphere")
+"""First parts of the styles of all fixes of the codes that move particles, also of those without a
+counterpart."""
 FORCES = ("gravity", "viscous", "wall/gran", "wall/gran/region")
 """Styles of fixes that act on all moving particles of a scene."""
 

@@ -31,6 +31,7 @@ from granflow.fields import (
     WEAR_QUANTITIES,
     Quantity,
 )
+from granflow.geometry.periodic_box import AXES
 from granflow.scene.blocks.contact import Contact, LawSettings
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.materials import RestitutionFit
@@ -380,12 +381,9 @@ def inside_domain(parts: PartialScene) -> Iterator[Fault]:
         place = group.insert.place
         for axis, (a, b) in enumerate(place.extent() if place is not None else ()):
             if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
-                reach = f"extends from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
+                reach = f"extends from {a:.4g} to {b:.4g} m in {AXES[axis]}"
                 reason = f"{reach}, beyond the domain, {low[axis]:g} to {high[axis]:g} m"
                 yield whole((*path, group.insert.place_key), reason)
-
-
-_AXES = "xyz"
 
 
 def unsupported_shapes(parts: PartialScene) -> Iterator[Fault]:
@@ -904,9 +902,9 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
 def _missing_for_box(scene: SceneInput, total: str) -> Iterator[str]:
     """What the scene lacks for a total of a deforming box."""
     periodic = scene.domain.periodic
-    needed = {"box_pressure": "xyz", "stress_ratio": "xyz"}.get(total, total[-1] if total[-2] == "_" else "")
-    lacking = ", ".join(axis for axis in needed if axis not in periodic)
-    if not any(True for _ in scene.deformations()):
+    needed = tuple(AXES) if total in ("box_pressure", "stress_ratio") else (total.rpartition("_")[2],)
+    lacking = ", ".join(axis for axis in AXES if axis in needed and axis not in periodic)
+    if not list(scene.deformations()):
         yield "it requires a box that deforms; give domain.deformation, or the deformation of a stage"
     elif lacking:
         yield f"domain.periodic is {', '.join(periodic)}; it requires {lacking} there, too"
