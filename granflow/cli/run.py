@@ -173,7 +173,7 @@ def run_to_end(
             result = simulation.close() or result
     except KeyboardInterrupt as stop:
         return print_error(stopped_where(simulation, out), exit_code_of(stop))
-    show_result(scene.title, result, out)
+    show_result(scene, result, out)
     if until is not None and simulation.is_complete and simulation.time < until - simulation.time_step:
         say(f"The last stage ended at {simulation.time:.6g} s, before --until {until:.6g} s.")
     if scene.expect and not result.expectations:
@@ -207,7 +207,7 @@ def stopped_where(simulation: "Simulation", out: Path) -> str:
     return f"{at}; the last checkpoint is at {saved:.6g} s, and granflow resume {out} continues from there."
 
 
-def show_result(title: str, result: "Result", out: Path) -> None:
+def show_result(scene: "Scene", result: "Result", out: Path) -> None:
     """Print the table of results, the expectations, and the files to open.
 
     `out`: output directory of the run. Expectations that are not satisfied begin with NOT AS EXPECTED.
@@ -216,13 +216,14 @@ def show_result(title: str, result: "Result", out: Path) -> None:
 
     from granflow.runs.result import closing_table
 
-    Console().print(closing_table(result, visible(title)))
+    moving = {name for name, wall in scene.walls.items() if any(not each.is_belt for each in wall.motion)}
+    Console().print(closing_table(result, visible(scene.title), moving))
     for sentence, met in result.expectations:
         say(sentence if met else f"NOT AS EXPECTED: {sentence}")
     series = sorted(str(path) for path in out.glob("*.pvd"))
     if series:
         say(f"For ParaView: {', '.join(series)}")
-    say(f"Numbers: {out / 'timeseries.csv'}, {out / 'result.json'}")
+    say(f"All numbers: {out / 'result.json'}; over time: {out / 'timeseries.csv'}")
 
 
 # resume

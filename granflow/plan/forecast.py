@@ -31,7 +31,7 @@ from granflow.plan.plan import Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.time_step import ImpactVelocity
 from granflow.plan.wall_control import ControlledMotion
-from granflow.plan.walls import PlannedWall
+from granflow.plan.walls import PlannedWall, surface_speed, wall_speeds
 from granflow.scene.blocks.gravity import AnyGravity, ChangingGravity
 from granflow.scene.blocks.insertions import TimedInsertion
 from granflow.scene.blocks.motions import TimedMotion, poses_at
@@ -56,6 +56,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         ((path, rest) for path, is_mistake, rest in rows if is_mistake),
         oversizes(scene),
         unreachable_walls(scene, plan.walls, times),
+        turned_out_findings(plan, times),
         region_findings(plan, times),
         servo_findings(plan, times),
         sideways_findings(plan),
@@ -111,7 +112,7 @@ def gap_findings(plan: Plan) -> Iterator[Finding]:
         )
 
 
-# The impact velocity of the forecasts: a fall from where particles start, not through the whole domain.
+# The impact velocity of the forecasts: a fall from where particles start, or to where walls lift them.
 
 LEVEL = 1e-6
 """Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide
@@ -119,13 +120,15 @@ on."""
 
 
 def forecast_velocity(plan: Plan) -> ImpactVelocity:
-    """Largest impact velocity if each particle starts at its insertion and falls to the lowest wall.
+    """Largest impact velocity if each particle starts at its insertion, is lifted by walls, and falls to the
+    lowest wall.
 
         v = max sqrt(max(v0, u)^2 + 2 |g| h) + u,      at most the planned velocity
 
-    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from
-    them. That of the plan if `run.velocity_max` is given, or if walls or images move or belts go up, which
-    lift or accelerate particles. The time step keeps the velocity of the plan.
+    v0: initial speed, h: drop height of a group, or that from where walls take particles (`lifted_height`);
+    u: largest speed of walls and belts, at which particles may leave them. That of the plan if
+    `run.velocity_max` is given, if images move, or if the drop height is not known. The time step keeps the
+    velocity of the plan.
     """
     scene = plan.scene
     planned = plan.impact_velocity
@@ -133,20 +136,79 @@ def forecast_velocity(plan: Plan) -> ImpactVelocity:
     if scene.run.velocity_max is not None or scene.image_speed or not heights:
         return planned
     magnitude = float(np.linalg.norm(scene.usual_gravity))
-    up = -np.array(scene.usual_gravity) / magnitude
-    if any(each.can_lift(up) for wall in plan.walls for each in wall.motions):
-        return planned
-    belt = max((sum(each.surface_speed for each in wall.motions) for wall in plan.walls), default=0.0)
-    speeds = {name: max(scene.particles[name].initial_speed, belt) for name in heights}
-    squares = {name: speeds[name] ** 2 + 2.0 * magnitude * heights[name] for name in heights}
-    fastest = max(squares, key=lambda name: squares[name])
-    value = sqrt(squares[fastest]) + belt
+    wall_speed = surface_speed(scene)
+    name, height = max(
+        heights.items(),
+        key=lambda each: (
+            2.0 * magnitude * each[1] + max(scene.particles[each[0]].initial_speed, wall_speed) ** 2
+        ),
+    )
+    lifted, lifting = lifted_height(plan, max(heights.values()))
+    height = max(height, lifted)
+    initial = max(scene.particles[name].initial_speed, wall_speed)
+    value = sqrt(initial**2 + 2.0 * magnitude * height) + wall_speed
     if not 0.0 < value < planned.value:
         return planned
-    initial = f" with the initial speed {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
-    against = f", plus the speed of the fastest belt, {belt:.3g} m/s" if belt else ""
-    words = f"a fall of particles.{fastest} by {heights[fastest]:.3g} m{initial}{against}"
+    words = f"a fall of particles.{name} by {height:.3g} m"
+    if lifting is not None and lifted == height:
+        words = f"a fall by {height:.3g} m of particles that walls.{lifting} lifts"
+    if initial:
+        words += f" with the initial speed {initial:.3g} m/s"
+    if wall_speed:
+        words += f", plus the speed of the fastest wall, {wall_speed:.3g} m/s"
     return ImpactVelocity(value, f"estimated from {words}")
+
+
+def lifted_height(plan: Plan, height: float) -> tuple[float, str | None]:
+    """Drop height [m] of particles that start at a `height` [m] above the lowest level and that a wall lifts
+    most, and the name of this wall; `height` and None if none does.
+
+    Translations and vibrations lift by their travel, rotations, inclined belts and walls that are pushed up
+    by forces to the top of the wall, which is the end of the domain for infinite walls and several motions.
+    """
+    scene = plan.scene
+    magnitude = float(np.linalg.norm(scene.usual_gravity))
+    up = -np.array(scene.usual_gravity) / magnitude
+    speeds = wall_speeds(scene, plan.walls)
+    low = _lowest_level(scene, plan.walls, up)
+    assert low is not None
+    end = max(
+        float(np.array(corner) @ up)
+        for corner in product(*zip(scene.domain.min, scene.domain.max, strict=True))
+    )
+    largest: tuple[float, str | None] = (height, None)
+    for wall in plan.walls:
+        is_in_place = any(each.rotates for each in wall.motions) and not speeds[wall.name]
+        drop = surface_speed(scene) ** 2 / magnitude if is_in_place else None
+        lift = sum(each.lift(up, scene.longest_duration) for each in wall.motions)
+        top = height + lift if lift < inf else _highest_point(wall, up, end, drop) - low
+        if lift > 0.0 and top > largest[0]:
+            largest = top, wall.name
+    if scene.domain.on_exit != "expand" and largest[0] > end - low:
+        largest = end - low, largest[1]
+    return largest
+
+
+def _highest_point(wall: PlannedWall, up: np.ndarray, end: float, drop: float | None) -> float:
+    """Largest height [m] along `up` (3,) to which a wall takes particles, at most `end` [m].
+
+    It is the highest point of the wall in full turns. A wall that rotates in place, such as the shell of a
+    drum, holds particles above its axis only up to the height `drop` = u^2/|g| at its speed u, where gravity
+    exceeds the centripetal acceleration (E. W. Davis, Trans. AIME 61 (1919) 250); None for other walls.
+    """
+    if len(wall.motions) != 1 or (wall.surface.area is None and drop is None):
+        return end
+    (motion,) = wall.motions
+    is_bounded = wall.surface.area is not None
+    if motion.rotates:
+        point, axis = motion.point_and_axis
+        points = wall.surface.enclosing_points() if is_bounded else point[None]
+        along = np.outer((points - point) @ axis, axis)
+        radii = np.linalg.norm(points - point - along, axis=1) if is_bounded else np.array([inf])
+        above = radii if drop is None else np.minimum(radii, drop)
+        across = float(np.linalg.norm(up - (up @ axis) * axis))
+        return min(float(((point + along) @ up + across * above).max()), end)
+    return end if motion.force_controlled else min(float((wall.surface.enclosing_points() @ up).max()), end)
 
 
 def drop_heights(plan: Plan) -> dict[str, float]:
@@ -500,8 +562,60 @@ def unreachable_walls(scene: Scene, walls: Sequence[PlannedWall], times: StageTi
             yield (
                 ("walls", wall.name, "motion"),
                 f" leaves the domain: after {moments[last + 1]:.3g} s of {end:.3g} s no particle can be in "
-                "contact with it. If this is intended, give its motion an end or the wall vanishes_at.",
+                f"contact with it, and at the end it is at least {gaps[-1]:.3g} m outside. If this is "
+                "intended, give its motion an end or the wall vanishes_at.",
             )
+
+
+TURN_SAMPLES = 500
+"""Times of the run at which the place of a rotating wall is computed. They are multiples of the golden ratio
+modulo 1, so that no period of a rotation is missed."""
+GOLDEN = 0.5 * (sqrt(5.0) - 1.0)
+OUTERMOST = np.array([each for each in product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
+"""Directions (26, 3) along which the outermost points of a wall represent it."""
+
+
+def turned_out_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
+    """Walls that are in the domain at rest, and that a chain of motions with a rotation takes out of it by
+    more than the largest diameter: with a wrong point or axis, or a translation that turns with the rotation
+    before it."""
+    scene = plan.scene
+    end = max(stage_end for _, stage_end in times.values())
+    diameter = max(group.outer_diameters[1] for group in scene.particles.values())
+    bounded = [k for k, axis in enumerate(AXES) if axis not in scene.domain.periodic]
+    low, high = np.array(scene.domain.min)[bounded], np.array(scene.domain.max)[bounded]
+    moments = np.sort(np.modf(GOLDEN * np.arange(1, TURN_SAMPLES + 1))[0]) * end
+    for wall in plan.walls if scene.domain.on_exit != "expand" and bounded else ():
+        motions = [each.at(times) for each in wall.motions]
+        turns = [index for index, each in enumerate(motions) if each.rotates]
+        if not turns or wall.surface.area is None or any(each.force_controlled for each in motions):
+            continue
+        points = wall.surface.enclosing_points()
+        points = points[np.unique((points @ OUTERMOST.T).argmax(axis=0))]
+        pose = poses_at(motions, moments)
+        places = np.einsum("kij,nj->kni", pose.rotation, points - pose.pivot)
+        places = (places + (pose.pivot + pose.offset)[:, None])[:, :, bounded]
+        outside = np.maximum(low - places, places - high).max(axis=(1, 2))
+        at_rest = np.maximum(low - points[:, bounded], points[:, bounded] - high).max()
+        if at_rest > 0.0 or outside.max() <= diameter:
+            continue
+        first = moments[np.flatnonzero(outside > diameter)[0]]
+        carried = [
+            index
+            for index in range(turns[0] + 1, len(motions))
+            if motions[index].travel(end) > 0.0 and not motions[index].rotates
+        ]
+        advice = "Check the point and the axis of the rotation, or enlarge the domain."
+        if carried:
+            advice = (
+                f"Motion {carried[0]} turns with the rotation before it, motion {turns[0]}: put it before "
+                "the rotation if its direction is fixed in space."
+            )
+        yield (
+            ("walls", wall.name, "motion"),
+            f" takes parts of the wall out of the domain, first at {first:.3g} s, and by up to "
+            f"{outside.max():.3g} m at {moments[outside.argmax()]:.3g} s. {advice}",
+        )
 
 
 # Servo walls that cannot reach the bed, and so their force, in the time of their motion.

@@ -3,7 +3,7 @@
 import difflib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -243,25 +243,36 @@ def _json_number(number: float) -> float | None:
 
 # The table at the end of a run.
 
-_COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
-_TOTAL = "wall_clock"
-_STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
-_WALL_FORCE_ROWS = {
-    "wall force, mean of the last stage": ("wall_force",),
-    "wall force (x, y, z), mean of the last stage": tuple(f"wall_force_{axis}" for axis in "xyz"),
-    "wall force (x, y, z) at the end": tuple(f"wall_force_{axis}_last" for axis in "xyz"),
-    "wall force, largest": ("wall_force_largest",),
-    "wall torque (x, y, z), mean of the last stage": tuple(f"wall_torque_{axis}" for axis in "xyz"),
-    "wall torque (x, y, z) at the end": tuple(f"wall_torque_{axis}_last" for axis in "xyz"),
-    "wall pressure, mean of the last stage": ("wall_pressure",),
-    "wall pressure at the end": ("wall_pressure_last",),
-    "wall pressure, largest": ("wall_pressure_largest",),
+_RUN = ("simulated_time", "step_count", "time_step", "particle_steps_per_second", "warning_count")
+_ALWAYS = ("particle_count", "contact_count")
+_FLOWS = ("inserted_count", "queued_count", "deleted_count")
+"""Counts that are shown if particles have been inserted during the run, are queued, or have been deleted."""
+_STATE = (
+    "kinetic_energy",
+    "overlap_largest",
+    "coordination_number",
+    "box_pressure",
+    "stress_ratio",
+    "solid_fraction",
+    "energy_error",
+)
+_WORK = ("wear_normal_work", "wear_tangential_work")
+_AXES = "xyz"
+_AT_REST = {"wall force (x, y, z)": tuple(f"wall_force_{axis}" for axis in _AXES)}
+"""Rows of the closing table for each measured wall, and the numbers in each."""
+_MOVING = _AT_REST | {
+    "wall torque (x, y, z)": tuple(f"wall_torque_{axis}" for axis in _AXES),
+    "wall pressure": ("wall_pressure",),
 }
-"""Rows of the closing table for each wall, and the numbers in each; `result.json` contains all of them."""
+"""The same for walls that move; `result.json` contains all numbers of all measured walls."""
 
 
-def closing_table(result: Result, title: str = "Result") -> "Table":
-    """Return the table at the end of a run: timings, counts, energies, meters, wall forces, insertion."""
+def closing_table(result: Result, title: str = "Result", moving: Collection[str] = ()) -> "Table":
+    """Return the table at the end of a run: speed, counts, state, meters, wall forces, metrics, insertion.
+
+    `moving`: names of the walls that move, which have rows of torque and pressure too. Numbers of walls are
+    means over the last stage.
+    """
     from rich.table import Table
     from rich.text import Text
 
@@ -271,13 +282,12 @@ def closing_table(result: Result, title: str = "Result") -> "Table":
     table.add_column(justify="left")
     for section in (
         _run_rows(result),
-        _time_rows(result),
         _total_rows(result),
         _part_rows(result.flow_meters),
         _part_rows(result.residence_time),
-        _wall_force_rows(result),
+        _wall_force_rows(result, moving),
         _part_rows(result.metrics),
-        _part_rows(result.insertion),
+        _insertion_rows(result),
     ):
         for row in section:
             table.add_row(*row)
@@ -286,27 +296,27 @@ def closing_table(result: Result, title: str = "Result") -> "Table":
 
 
 def _run_rows(result: Result) -> list[tuple[str, str, str]]:
-    rows = {name: number for name, number in result.run.items() if name != _TOTAL}
-    return [(_label(name), readable(number), unit_of(name)) for name, number in rows.items()]
-
-
-def _time_rows(result: Result) -> list[tuple[str, str, str]]:
-    """Return the wall clock of each phase [s] and its share, the remaining time as "other", and the total."""
+    """Return the rows of steps and speed, and of the wall clock [s] with the phase that takes most of it."""
+    rows = [(_label(name), readable(result.run[name]), unit_of(name)) for name in _RUN if name in result.run]
     named = sum(result.timings.values())
-    total = max(result.run.get(_TOTAL, named), named)
-    parts = dict(result.timings) | ({"other": total - named} if total > named else {})
-    rows = [
-        (_label(part), f"{seconds:.2f} s", f"{seconds / total:.0%}" if total > 0 else "")
-        for part, seconds in parts.items()
-    ]
-    return [*rows, (_label(_TOTAL), f"{total:.2f} s", "")]
+    total = max(result.run.get("wall_clock", named), named)
+    unit = "s"
+    if result.timings and total > 0.0:
+        part, seconds = max(result.timings.items(), key=lambda each: each[1])
+        unit = f"s ({seconds / total:.0%} {_label(part)})"
+    return [*rows, ("wall clock", f"{total:.2f}", unit)]
 
 
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     """Return the rows of counts, state numbers, and totals of single outlets and walls, with their units."""
-    names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
-    names += [name for name in result.totals if "." in name]
     totals = result.totals
+    names = [name for name in _ALWAYS if name in totals]
+    if totals.get("inserted_count") == totals.get("particle_count"):
+        names += [name for name in _FLOWS if name != "inserted_count" and totals.get(name)]
+    else:
+        names += [name for name in _FLOWS if totals.get(name)]
+    names += [name for name in _STATE if name in totals]
+    names += [name for name in totals if "." in name and not name.startswith(_WORK)]
     return [(_label(name).replace(".", ", "), *_value_and_unit(name, totals[name])) for name in names]
 
 
@@ -319,21 +329,35 @@ def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str,
     ]
 
 
+def _insertion_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Return the rows of inserted groups, without those that are 0, and without the count of a single group,
+    which the totals have."""
+    known = {"inserted_count"} if len(result.insertion) == 1 else set()
+    return _part_rows(
+        {
+            group: {name: number for name, number in readings.items() if number and name not in known}
+            for group, readings in result.insertion.items()
+        }
+    )
+
+
 def _value_and_unit(name: str, number: float) -> tuple[str, str]:
     """Texts of a number and its unit; a dash for a quantity without a value."""
     return ("-", "") if math.isnan(number) else (readable(number), _unit_text(name, number))
 
 
-def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
-    """Return the rows of forces, torques and pressures: means of the last stage, and values at the end."""
+def _wall_force_rows(result: Result, moving: Collection[str]) -> list[tuple[str, str, str]]:
+    """Return the rows of forces, torques and pressures, with the stage of their means at their units."""
+    stages = list(result.stages)
+    over = f"mean of {stages[-1]}" if len(stages) > 1 else "mean of the run"
     return [
         (
             f"{words}, {wall}",
             ", ".join(readable(readings[name]) for name in names),
-            unit_of(f"{names[0]}.{wall}"),
+            f"{unit_of(f'{names[0]}.{wall}')}, {over}",
         )
         for wall, readings in result.wall_forces.items()
-        for words, names in _WALL_FORCE_ROWS.items()
+        for words, names in (_MOVING if wall in moving else _AT_REST).items()
         if readings.keys() >= set(names)
     ]
 

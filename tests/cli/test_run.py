@@ -85,7 +85,7 @@ def test_a_process_prints_a_summary_and_only_progress_on_stderr(plain):
     """The title has control characters, which the terminal does not receive."""
     assert plain.returncode == 0, plain.stderr
     assert plain.stdout.startswith("beads.yaml: no problems found.\n")
-    for fragment in ("Ten beads fall", "step count", "forces", "compile", "wall clock", "particle count"):
+    for fragment in ("Ten beads fall", "step count", "wall clock", "particle count"):
         assert fragment in plain.stdout
     assert "particle_count is 10, as expected equal to 10." in plain.stdout
     assert "particles.pvd" in plain.stdout and "\x1b" not in plain.stdout + plain.stderr

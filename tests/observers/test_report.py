@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -43,17 +44,56 @@ def test_json_is_strict_and_contains_the_same_numbers(tmp_path):
     assert content["expect"] == [{"sentence": "All is well.", "met": True}]
 
 
-def test_table_shows_the_timings():
+def shown(result, **options):
+    """The closing table as text, without its lines."""
     console = Console(width=100, record=True, file=io.StringIO())
+    console.print(closing_table(result, **options))
+    rows = [re.sub("[ │]+", " ", line).strip() for line in console.export_text().splitlines()]
+    return [row for row in rows if row and "─" not in row]
+
+
+def test_table_has_the_speed_the_state_and_what_the_scene_measures():
     angles = {"heap": {"angle_of_repose": 0.4, "angle_of_repose_error": float("nan")}}
-    torque = {f"wall_torque_{axis}": value for axis, value in zip("xyz", (0.5, -0.25, 0.0), strict=True)}
-    console.print(closing_table(replace(RESULT, metrics=angles, wall_forces={"screw": torque})))
-    text = console.export_text()
-    pieces = ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000", "rad (22.92 deg)", "0.5, -0.25, 0",
-              "wall torque (x, y, z), mean of the last stage, screw")  # fmt: skip
-    for piece in pieces:
-        assert piece in text
-    assert "nan" not in text.lower(), "a quantity without a value is a dash"
+    rows = shown(replace(RESULT, metrics=angles))
+    assert rows == [
+        "Result", "simulated time 1.5 s", "step count 1 234 567", "wall clock 4.00 s (75% forces)",
+        "particle count 8 000", "kinetic energy 0.001 J", "energy error -",
+        "flow mass, outlet 0.25 kg", "flow count, outlet 100", "mass flow, outlet 0.153 kg/s",
+        "angle of repose, heap 0.4 rad (22.92 deg)", "angle of repose error, heap -",
+    ]  # fmt: skip
+
+
+def test_table_shows_insertion_and_deletion_only_if_they_occur():
+    counts = {"particle_count": 10, "inserted_count": 10, "queued_count": 0, "deleted_count": 0}
+    assert not any("ed count" in row for row in shown(replace(RESULT, totals=counts)))
+    changed = counts | {"inserted_count": 12, "deleted_count": 2}
+    rows = shown(replace(RESULT, totals=changed))
+    assert "inserted count 12" in rows and "deleted count 2" in rows and "queued count 0" not in rows
+
+
+def test_table_shows_what_is_missing_of_an_inserted_group():
+    group = {"inserted_count": 4, "inserted_mass": 0.5, "not_inserted_count": 0}
+    assert shown(replace(RESULT, insertion={"feed": group}))[-1] == "inserted mass, feed 0.5 kg"
+    missing = replace(RESULT, insertion={"feed": group | {"not_inserted_count": 2}})
+    assert shown(missing)[-1] == "not inserted count, feed 2"
+
+
+def test_table_has_one_row_for_a_wall_at_rest_and_names_the_stage_of_means():
+    wall = {f"wall_{name}_{axis}": 0.5 for name in ("force", "torque") for axis in "xyz"}
+    wall |= {"wall_pressure": 3.0, "wall_force": 0.9, "wall_force_largest": 2.0}
+    forces = replace(RESULT, wall_forces={"floor": wall, "screw": wall}, stages={"run": {}})
+
+    def rows(result):
+        return [row for row in shown(result, moving=["screw"]) if "wall " in row and "clock" not in row]
+
+    assert rows(forces) == [
+        "wall force (x, y, z), floor 0.5, 0.5, 0.5 N, mean of the run",
+        "wall force (x, y, z), screw 0.5, 0.5, 0.5 N, mean of the run",
+        "wall torque (x, y, z), screw 0.5, 0.5, 0.5 N m, mean of the run",
+        "wall pressure, screw 3 Pa, mean of the run",
+    ]
+    staged = rows(replace(forces, stages={"fill": {}, "stir": {}}))
+    assert all(row.endswith(", mean of stir") for row in staged)
 
 
 def test_log_records_the_run_until_an_exception_ends_it(tmp_path):

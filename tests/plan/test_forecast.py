@@ -258,6 +258,27 @@ def test_wall_that_moves_away_is_reported_unless_the_scene_ends_its_motion(tmp_p
     assert warnings_of(scene_of(tmp_path, f"walls.belt={belt % ''}", "run.duration=10 ms")) == []
 
 
+def test_translation_that_turns_with_the_rotation_before_it_is_reported_with_time_and_distance(tmp_path):
+    """A plate of 1 cm around x = 0 moves by 24 mm and makes half a turn in a domain from -10 to 30 mm.
+
+    In space it ends at x = 19 to 29 mm; in its own frame at -(5 + 24) = -29 mm, 19 mm outside.
+    """
+    plate = (
+        "{shape: rectangle, corner: [-5 mm, 5 mm, 12 mm], sides: [[1 cm, 0, 0], [0, 1 cm, 0]], "
+        "material: glass, motion: [%s]}"
+    )
+    turn = "{kind: rotation, axis: [0, 0, 1], point: [0, 10 mm, 0], angular_velocity: 1800 deg/s}"
+    shift = "{kind: translation, velocity: [24 cm/s, 0, 0], end: 0.1 s}"
+    turned, straight = (
+        warnings_of(scene_of(tmp_path, f"walls.plate={plate % order}", "run.duration=0.1"))
+        for order in (f"{turn}, {shift}", f"{shift}, {turn}")
+    )
+    assert len(turned) == 1 and straight == []
+    assert "Motion 1 turns with the rotation before it, motion 0" in turned[0]
+    reached, at = turned[0].split("by up to ")[1].split(" s. ")[0].split(" m at ")
+    assert (float(reached), float(at)) == pytest.approx((0.019, 0.1), rel=0.02)
+
+
 def test_region_that_a_wall_cuts_is_reported_with_the_share_of_positions(tmp_path):
     """Centers of spheres of 4 mm are between z = 2 and 8 mm; with a plate at z = 5 mm, those between 3.2 and
     6.8 mm overlap it by more than 0.1 R: 60 % of the positions.

@@ -174,9 +174,10 @@ class TimedMotion(Model):
         """Whether the motion carries the wall away until the run ends, without limits of its time."""
         return False
 
-    def can_lift(self, up: np.ndarray) -> bool:
-        """Whether the motion may lift particles along `up` (3,), a unit vector."""
-        return True
+    def lift(self, up: np.ndarray, duration: float) -> float:
+        """Largest height [m] along `up` (3,), a unit vector, by which the motion lifts particles in a
+        duration [s]; infinite if it takes them to the top of the wall."""
+        return inf
 
     @property
     def key_for_gravity(self) -> str | None:
@@ -337,6 +338,10 @@ class Vibration(TimedMotion):
         assert self.amplitude is not None
         return 2.0 * abs(self.amplitude)
 
+    def lift(self, up: np.ndarray, duration: float) -> float:
+        """See `TimedMotion`."""
+        return self.travel(duration) * abs(float(np.dot(self.direction, up)))
+
     @property
     def period(self) -> float:
         """2 pi / w [s]; infinite without motion (w = 0 or amplitude 0)."""
@@ -411,6 +416,10 @@ class Translation(VelocityMotion):
         """See `TimedMotion`."""
         return self.end is None and self.stages is None
 
+    def lift(self, up: np.ndarray, duration: float) -> float:
+        """See `TimedMotion`."""
+        return max(float((self.velocities @ up).max()), 0.0) * min(duration, self.end_time - self.start_time)
+
     def displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`."""
         return self._displacement_and_rate(times)
@@ -436,10 +445,10 @@ class SurfaceVelocity(VelocityMotion):
 
     kind: Literal["surface_velocity"] = Field("surface_velocity", description="kind of motion")
 
-    def can_lift(self, up: np.ndarray) -> bool:
-        """See `TimedMotion`; not if the belt is level or goes down."""
+    def lift(self, up: np.ndarray, duration: float) -> float:
+        """See `TimedMotion`; 0 if the belt is level or goes down."""
         velocities = self.velocities
-        return bool(np.any(velocities @ up > LEVEL * np.linalg.norm(velocities, axis=1)))
+        return inf if np.any(velocities @ up > LEVEL * np.linalg.norm(velocities, axis=1)) else 0.0
 
     def surface_velocity(self, times: np.ndarray) -> np.ndarray:
         """See `TimedMotion`."""
@@ -839,6 +848,10 @@ class ForceControlledMotion(TimedMotion):
 
     def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
         return {"direction": _unit_vector(self.direction)}
+
+    def lift(self, up: np.ndarray, duration: float) -> float:
+        """See `TimedMotion`; 0 for a wall that presses down or across."""
+        return inf if float(np.dot(self.direction, up)) > LEVEL else 0.0
 
     def numbers(self, area: float, gravity: Sequence[float], layer: WallContacts, step: float) -> Numbers:
         """Numbers of the motion with a time `step` [s] by name, in SI units.
