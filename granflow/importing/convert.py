@@ -6,6 +6,7 @@ from pathlib import Path
 
 from granflow.errors import GranflowError
 from granflow.importing import (
+    deformation,
     deletion,
     geometry,
     heat,
@@ -20,7 +21,7 @@ from granflow.importing import (
     start,
 )
 from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
-from granflow.importing.groups import MOVERS, group_named
+from granflow.importing.groups import MOVERS, group_named, tell_bodies, tell_excluded, tell_inserted
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import Entry, Report
 from granflow.importing.scene_text import Draft
@@ -33,6 +34,7 @@ FAMILIES = (
     materials,
     regions,
     geometry,
+    deformation,
     meshes,
     motion,
     insertion,
@@ -82,6 +84,11 @@ class Imported:
 def units(deck: Deck, command: Command, entry: Entry) -> None:
     """units STYLE"""
     style = Words(deck, command, command.words).word("the unit system")
+    if deck.box is not None:
+        raise DeckError(
+            command, "units follows the box; the code requires it before create_box or read_data."
+        )
+    deck.family["has_units"] = True
     if style not in UNITS:
         entry.impossible(f"units {style}", "si, cgs or micro")
         return
@@ -219,7 +226,7 @@ def convert(
             report.entry(command).not_needed("executed: the scene has the result")
 
     interpreter = Interpreter(given=settings, on_executed=executed)
-    deck = Deck(code, interpreter, report, units="si" if code == "liggghts" else "lj")
+    deck = Deck(code, interpreter, report)
     deck.family["folder"] = path.parent
     commands, fixes = all_commands(), all_fixes()
     for command in interpreter.commands(path):
@@ -253,8 +260,14 @@ def _draft(deck: Deck, path: Path) -> Draft:
         raise GranflowError(
             f"{path}: the script has no create_box or read_data, so that the box is not known."
         )
+    first = next(run for run in deck.runs if run.steps)
+    if "has_units" not in deck.family and deck.box_entry is not None:
+        deck.box_entry.approximated(
+            "the script has no units; numbers of the default lj are taken as SI: m, kg, s"
+        )
+    if deck.time_step_entry is None:
+        first.entry.translated(f"run.time_step (no timestep is given: the default of units {deck.units})")
     if not any(fix.style.startswith(MOVERS) for fix in deck.all_fixes):
-        first = next(run for run in deck.runs if run.steps)
         first.entry.approximated(
             "no fix such as nve/sphere integrates the particles, so that the code does not move them; the "
             "scene does"
@@ -263,10 +276,14 @@ def _draft(deck: Deck, path: Path) -> Draft:
     draft.put(("title",), path.name)
     start.add_points(deck, draft)
     insertion.collect(deck)
+    tell_inserted(deck)
+    tell_excluded(deck)
+    tell_bodies(deck, bool(deck.family.get("points")))
     materials.build(deck, draft)
     geometry.build(deck, draft)
     insertion.build(deck, draft)
     schedule.build(deck, draft)
+    deformation.build(deck, draft)
     heat.build(deck, draft)
     settings.build(deck, draft)
     deletion.build(deck, draft)

@@ -1,4 +1,4 @@
-"""Box and walls of a script: boundaries, fix wall/gran and wall/gran/region, shear of the box."""
+"""Box and walls of a script: boundaries, fix wall/gran and wall/gran/region."""
 
 from dataclasses import dataclass, replace
 from math import pi
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.importing import meshes, region_walls
+from granflow.importing import deformation, meshes, region_walls
 from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible
 from granflow.importing.heat import wall_temperature
 from granflow.importing.language import Command, DeckError
@@ -68,8 +68,10 @@ def change_box(deck: Deck, command: Command, entry: Entry) -> None:
             box[k], box[k + 1] = words.number("the low end", "length"), words.number("the high end", "length")
             deck.box = tuple(box)
             entry.translated("domain")
-        elif key in ("units", "ortho"):
-            words.skip()
+        elif key == "units":
+            words.word("box or lattice")
+        elif key == "ortho":
+            pass
         else:
             entry.impossible(f"change_box {key}", "another box at the start")
             words.skip()
@@ -87,50 +89,6 @@ def create_box(deck: Deck, command: Command, entry: Entry) -> None:
     deck.box = region.numbers
     deck.box_entry = entry
     region.entry.translated("domain")
-
-
-def deform(deck: Deck, fix: Fix) -> None:
-    """fix ID group deform N xy erate RATE remap v ...: simple shear"""
-    words = Words(deck, fix.entry.command, fix.words)
-    words.whole("the interval in steps")
-    shears: list[tuple[str, float]] = []
-    while words:
-        key = words.word("a keyword")
-        if key in ("remap", "flip", "units"):
-            words.word(f"a value of {key}")
-            continue
-        style = words.word("the style of the deformation")
-        if key in ("xy", "xz", "yz") and style == "erate":
-            shears.append((key, words.number("the rate", "rate")))
-            continue
-        fix.entry.impossible(
-            f"the deformation {key} {style} of the box",
-            "a simple shear (xy erate RATE), domain.deformation: {x: {strain_rate: RATE}} of a box without "
-            "walls, or walls with motion: {kind: servo}",
-        )
-        return
-    if len(shears) > 1:
-        fix.entry.impossible("shear in several planes", "shear in one plane")
-        return
-    fix.data = shears[0] if shears else None
-
-
-def _shear(deck: Deck, draft: Draft) -> None:
-    """Lees-Edwards boundaries for fix deform."""
-    for fix in deck.fixes_of("deform"):
-        runs = deck.acting(fix)
-        if fix.data is None or not runs:
-            continue
-        axes, rate = fix.data
-        if deck.boundary[2 * "xyz".index(axes[0])] != "p" or deck.boundary[2 * "xyz".index(axes[1])] != "p":
-            raise DeckError(fix.entry.command, f"a shear {axes} needs periodic boundaries along both axes.")
-        keys: dict[str, Any] = {"flow": axes[0], "gradient": axes[1], "rate": quantity(rate, "rate")}
-        if runs[0].start > 0.0:
-            keys["start"] = quantity(runs[0].start, "time")
-        if runs[-1].end < deck.end:
-            fix.entry.approximated("the shear goes on to the end of the run")
-        deck.family["lees_edwards"] = keys
-        fix.entry.translated("domain.lees_edwards")
 
 
 def freeze(deck: Deck, fix: Fix) -> None:
@@ -260,7 +218,7 @@ def _wall_keywords(fix: Fix, words: Words, wall: Primitive) -> None:
         elif key == "temperature":
             wall_temperature(words.deck, fix, words.plain("the temperature"))
         elif key == "contact_area":
-            words.skip()
+            words.word("the style of the area")
         else:
             fix.entry.impossible(f"the keyword {key} of a wall", "a mesh with a motion")
             words.skip()
@@ -332,7 +290,7 @@ def wall_gran_region(deck: Deck, fix: Fix) -> None:
 def build(deck: Deck, draft: Draft) -> None:
     """Write the block walls, flow meters and outlets."""
     region_walls.release_periodic_axes(deck)
-    _shear(deck, draft)
+    deformation.shear(deck)
     _freeze(deck)
     walls: dict[tuple[str, float, str], tuple[Fix, WallContact, list[Fix]]] = {}
     for fix in deck.fixes_of("wall/gran"):
@@ -485,7 +443,6 @@ FIXES: dict[str, Translation] = {
     "wall/gran/region": Translation(
         wall_gran_region, "walls", "block, cylinder, cone, sphere, plane, union, intersect"
     ),
-    "deform": Translation(deform, "domain.lees_edwards", "shear xy, xz or yz at a constant rate (erate)"),
     "freeze": Translation(freeze, "particles.NAME.fixed", "groups of types"),
     **dict.fromkeys(
         ("wall/reflect", "wall/region", "wall/lj93", "wall/lj126", "wall/harmonic", "wall/colloid"),

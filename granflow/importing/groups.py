@@ -11,6 +11,7 @@ import numpy as np
 from granflow.importing.deck import Deck, Fix, Group, Points
 from granflow.importing.language import Command, DeckError
 from granflow.importing.regions import contains, region_of
+from granflow.importing.report import Entry
 
 INTEGRATORS = (
     "nve",
@@ -28,6 +29,8 @@ MOVERS = ("nve", "nvt", "npt", "nph", "rigid", "multisphere")
 counterpart."""
 FORCES = ("gravity", "viscous", "wall/gran", "wall/gran/region")
 """Styles of fixes that act on all moving particles of a scene."""
+BODIES = ("rigid", "rigid/small", "rigid/nve", "rigid/nve/small")
+"""Styles of fixes that join particles to rigid bodies."""
 
 # Which particles a name means
 
@@ -82,6 +85,76 @@ def _members(deck: Deck, command: Command, points: Points, name: str) -> np.ndar
 
 
 # What fixes leave out
+
+
+def exclude(deck: Deck, command: Command, entry: Entry) -> None:
+    """neigh_modify KEYWORDS: settings of neighbor lists, and with exclude, contacts that are left out."""
+    words = list(command.words)
+    entry.not_needed("granflow chooses the neighbor list")
+    while "exclude" in words:
+        del words[: words.index("exclude") + 1]
+        style, first, second = [*words, "", "", ""][:3]
+        if style == "none":
+            continue
+        deck.own("excluded", list).append((entry, style, first, second))
+
+
+def tell_excluded(deck: Deck) -> None:
+    """Refuse contacts that a script leaves out, except those between particles that do not move."""
+    frozen = {fix.group for fix in deck.fixes_of("freeze")}
+    moved = {fix.group for fix in deck.fixes_of(*INTEGRATORS)}
+    for entry, style, first, second in deck.own("excluded", list):
+        at_rest = style == "group" and first == second and (first in frozen or not {first, "all"} & moved)
+        in_bodies = style.startswith("molecule") and deck.fixes_of(*BODIES)
+        if not at_rest and not in_bodies:
+            entry.impossible(
+                f"contacts that are left out (exclude {style} {first} {second})",
+                "fixed: true for particles that have no contacts with each other",
+            )
+
+
+def tell_inserted(deck: Deck) -> None:
+    """Tell which fixes do not act on inserted particles: these are members of all, and of the groups of their
+    insertion, distribution and template, only."""
+    inserting = {
+        entry.command.words[1]
+        for group in deck.particles
+        for entry in group.entries[:1]
+        if entry.command.name == "fix"
+    }
+    if not inserting:
+        return
+    templates = [fix.group for fix in deck.all_fixes if fix.style.startswith("particle")]
+    members = {"all", *inserting, *templates}
+    acting = [fix for fix in deck.fixes_of(*FORCES, *INTEGRATORS) if deck.acting(fix) and fix.start == 0.0]
+    for fix in acting:
+        group = deck.groups.get(fix.group)
+        if fix.group in members or group is None or group.rule in ("dynamic", "union", "subtract"):
+            continue
+        if fix.style in FORCES:
+            fix.entry.impossible(
+                f"{fix.style} on the group {fix.group} only: inserted particles are members of "
+                f"{' and '.join(sorted(members))}",
+                "the group all",
+            )
+        elif not any(each.group in members for each in acting if each.style in INTEGRATORS):
+            fix.entry.approximated(
+                f"the code does not move the inserted particles, which are no members of {fix.group}; the "
+                "scene does"
+            )
+
+
+def tell_bodies(deck: Deck, has_points: bool) -> None:
+    """Refuse rigid bodies of particles at given positions, and what holds bodies."""
+    for fix in deck.fixes_of(*BODIES):
+        if has_points:
+            fix.entry.impossible(
+                "rigid bodies of particles at given positions, which are single spheres in the scene",
+                "clumps: particles.NAME.clump with insert: {kind: file}",
+            )
+        held = [each for each in ("force", "torque", "langevin", "temp", "infile") if each in fix.words]
+        if held:
+            fix.entry.impossible(f"the keyword {held[0]} of {fix.style}", "clumps that move freely")
 
 
 def fixed_points(deck: Deck, points: Points) -> np.ndarray:

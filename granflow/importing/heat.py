@@ -26,12 +26,14 @@ KEYS = {
 def heat_gran(deck: Deck, fix: Fix) -> None:
     """fix ID group heat/gran initial_temperature T [area_correction yes|no] [contact_area STYLE]"""
     words = Words(deck, fix.entry.command, fix.words)
-    temperature = 0.0
+    temperature, corrected = 0.0, False
     while words:
         key = words.word("a keyword")
         if key == "initial_temperature":
             temperature = words.plain("the temperature")
         elif key == "area_correction":
+            corrected = words.flag(key)
+        elif key == "store_contact_data":
             words.flag(key)
         elif key == "contact_area":
             style = words.word("the style of the area")
@@ -42,6 +44,8 @@ def heat_gran(deck: Deck, fix: Fix) -> None:
             fix.entry.impossible(f"the keyword {key} of heat/gran")
             words.skip()
     fix.data = temperature
+    if corrected:
+        deck.family["area_correction"] = True
     if any(run.steps for run in deck.runs):
         deck.own("changes", set).add(deck.time)
 
@@ -66,6 +70,8 @@ def build(deck: Deck, draft: Draft) -> None:
     for name, material in draft.blocks.get("materials", {}).items():
         for given, (key, unit, factor) in KEYS.items():
             found = properties.get(given)
+            if key == "true_young_modulus" and "area_correction" not in deck.family:
+                continue
             if found is not None:
                 value = found.of(max(1, types[name])) * factor
                 material[key] = f"{number(value)} {unit}"

@@ -4,7 +4,7 @@
 """
 
 from dataclasses import dataclass, field
-from math import ceil, floor, hypot, inf, pi, sqrt
+from math import acos, ceil, degrees, floor, hypot, inf, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from granflow.importing.meshes import FlatFace, flat_face
 from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
-from granflow.importing.schedule import stage_names
+from granflow.importing.schedule import gravity_at, stage_names
 from granflow.io.tables import is_number
 from granflow.schema.messages import suggestion_sentence
 from granflow.units import to_si
@@ -202,7 +202,8 @@ class Insertion:
     all_in: bool = False
     extrude: float = 0.0
     duration: int | None = None
-    orientation: Any = "random"
+    orientation: Any = "template"
+    """Of multispheres: template, random, or a quaternion with the real part first."""
     notes: list[str] = field(default_factory=list)
 
 
@@ -266,6 +267,10 @@ def insertion(deck: Deck, fix: Fix) -> None:
             given["omega"] = words.vector("the angular velocity", "angular_velocity")
         elif key == "orientation":
             style = words.word("random, template or constant")
+            if style not in ("random", "template", "constant"):
+                raise DeckError(
+                    fix.entry.command, f"orientation is {style}; give random, template or constant."
+                )
             given["orientation"] = [words.number("q") for _ in range(4)] if style == "constant" else style
         elif key == "overlapcheck":
             if not words.flag(key):
@@ -429,9 +434,8 @@ def _window(deck: Deck, fix: Fix) -> tuple[float, float]:
     return runs[0].start, runs[-1].end
 
 
-def _travel(deck: Deck, velocity: Vector, time: float, extent: tuple[float, ...]) -> float:
+def _travel(gravity: Vector, velocity: Vector, time: float, extent: tuple[float, ...]) -> float:
     """Share of a region that particles leave in a time [s], falling freely from its velocity."""
-    gravity = next((fix.data for fix in deck.fixes_of("gravity") if fix.data), (0.0, 0.0, 0.0))
     left = 1.0
     for k in range(3):
         way = abs(velocity[k] * time + 0.5 * gravity[k] * time**2)
@@ -457,6 +461,9 @@ def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
         mass_share = sum(masses[k] for k in chosen) / sum(masses)
         name = plain_name(fix.name if len(kinds) == 1 else f"{fix.name}_{index + 1}", "group")
         clump = members[0].clump
+        if clump and given.orientation != "template":
+            clump = {**clump, "orientation": _orientation(given.orientation)}
+            fix.entry.translated(f"particles.{name}.clump.orientation")
         weights = [masses[k] for k in chosen]
         mean_radius = float(np.average([each.radius for each in members], weights=weights))
         amount = Amount(deck, fix, given, share, mass_share, mean_radius)
@@ -486,6 +493,17 @@ def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
         given.distribution.entry.translated(f"particles.{name}.diameter")
 
 
+def _orientation(given: Any) -> Any:
+    """The key orientation of clumps for `random`, or for a quaternion."""
+    if given == "random":
+        return given
+    real, *axis = given
+    length = hypot(*given)
+    if not any(axis):
+        return {"axis": [0, 0, 1], "angle": 0}
+    return {"axis": axis, "angle": f"{degrees(2.0 * acos(real / length)):.12g} deg"}
+
+
 @dataclass
 class Amount:
     """How much of a part of an insertion enters where and when."""
@@ -510,7 +528,8 @@ class Amount:
         if given.face is not None:
             face, delay = self._face(given.face)
             given.face.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.face")
-            return [("", self._total(), {"kind": "inlet", "face": face, **self._flow(start + delay, end)})]
+            flow = self._flow(start + delay, end + delay)  # what has appeared passes the mesh after `unfix`
+            return [("", self._total(), {"kind": "inlet", "face": face, **flow})]
         keys = self._flow(start, end)
         if given.region is None:
             raise DeckError(fix.entry.command, f"{fix.style} needs a region or an insertion_face.")
@@ -617,7 +636,9 @@ class Amount:
             batches -= 1  # the script ends, or the fix, before the next insertion
         if batches <= 0:
             return parts
-        leaving = _travel(deck, given.velocity, every, extent_of(deck, given.region))
+        leaving = _travel(
+            gravity_at(deck, deck.acting(fix)[0]), given.velocity, every, extent_of(deck, given.region)
+        )
         refill = max(1, round(count * leaving))
         if leaving < 1.0:
             fix.entry.approximated(
@@ -754,6 +775,7 @@ def pour(deck: Deck, fix: Fix) -> None:
         fix.entry.approximated(f"densities from {densities[0]:g} to {densities[1]:g}; the mean is taken")
     density = 0.5 * (densities[0] + densities[1])
     if type < 1:
+        fix.entry.impossible(f"pour of the type {type}", "an atom type from 1")
         return
     values = (diameters, is_range, density, fraction, rate, velocity, deck.step_here)
     fix.data = Pour(count, type, region, *values)
@@ -768,14 +790,21 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     that moves. LAMMPS takes dt at the line of the fix.
     """
     extent = extent_of(deck, given.region)
-    gravity = next((each.data for each in deck.fixes_of("gravity") if each.data), (0.0, 0.0, -9.81))
+    gravity = gravity_at(deck, deck.acting(fix)[0])
+    if not any(gravity):
+        raise DeckError(
+            fix.entry.command,
+            "fix pour needs a fix gravity along -z, such as fix g all gravity 9.81 vector 0 0 -1.",
+        )
+    if gravity[2] >= 0.0 or max(map(abs, gravity[:2])) > 1e-6 * abs(gravity[2]):
+        fix.entry.approximated("gravity is not along -z, for which the code refuses fix pour")
     g = hypot(*gravity)
     height = extent[5] - extent[4]
     down = max(0.0, -given.velocity[2])
     if given.rate:
         fix.entry.approximated("the region of the script moves with rate; here it is at rest")
     relative = given.velocity[2] - given.rate
-    fall = (relative + sqrt(relative**2 + 2.0 * g * height)) / g if g else height / max(down, 1e-9)
+    fall = (relative + sqrt(relative**2 + 2.0 * g * height)) / g
     step = deck.acting(fix)[0].time_step
     interval = max(1, round(fall / given.step)) * step
     if given.is_range:
@@ -907,6 +936,12 @@ FIXES: dict[str, Translation] = {
     "insert/rate/region": Translation(insertion, "insert: {kind: rain}"),
     "pour": Translation(
         pour, "insert: {kind: inlet}", "batches become a constant rate at the lower end of the region"
+    ),
+    "insert/stream/predefined": impossible(
+        "insertions at times of a file", "insert: {kind: inlet}, one group for each time (start, end)"
+    ),
+    "insert/pack/dense": impossible(
+        "packings that grow to a target fraction", "insert: {kind: pack}, then domain.deformation or a servo"
     ),
     "adapt": impossible("diameters that change", "a higher solid fraction by kind: pack (up to 0.55)"),
     "deposit": impossible("fix deposit", "insert: {kind: rain}"),

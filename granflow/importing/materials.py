@@ -18,12 +18,16 @@ from granflow.importing.deck import Deck, Fix, ParticleGroup, Translation, Words
 from granflow.importing.language import Command, DeckError
 from granflow.importing.report import APPROXIMATED, Entry
 from granflow.importing.scene_text import Draft, plain_name, quantity
+from granflow.io.tables import is_number
 from granflow.schema.messages import nearest, suggestion_sentence
 
 REFERENCE_DENSITY = 2500.0
 """Density [kg/m3] of the material of a wall whose type no particle has; no result depends on it."""
 LEAST_RESTITUTION = 0.01
 """Smallest restitution that is written; viscous models do not have 0."""
+
+LEAST_TENSION = 0.005
+"""Loss of tangential velocity over the normal velocity of an impact, below which it is not reported."""
 
 # Properties (LIGGGHTS)
 
@@ -259,6 +263,19 @@ OPTIONS = (
 )
 
 
+UNLIKE = {
+    "ktToKnUser": (
+        "a ratio of the stiffnesses that is given (ktToKnUser)",
+        "contact.tangential.stiffness_factor of the scene",
+    ),
+    "torsionTorque": (
+        "rolling friction of rotations about the normal (torsionTorque)",
+        "contact.twisting: marshall, or torsionTorque off",
+    ),
+}
+"""Options without counterpart if they are on."""
+
+
 def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] = ()) -> Model:
     """Read `model hertz tangential history ...` up to one of the words `stop`."""
     start = words.at
@@ -276,6 +293,8 @@ def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
                 entry.impossible("restitution that depends on a Stokes number", "viscous off")
         elif key in OPTIONS:
             options[key] = words.flag(key)
+            if options[key] and key in UNLIKE:
+                entry.impossible(*UNLIKE[key])
         else:
             remedy = suggestion_sentence(key, ["model", *chosen, *OPTIONS], "keywords")
             raise DeckError(entry.command, f"contact models have no keyword {key}. {remedy}")
@@ -328,6 +347,10 @@ def _or_default(words: Words, what: str, dimension: str, default: float) -> floa
     return words.number(what, dimension)
 
 
+DAMPINGS = ("tsuji", "viscoelastic", "velocity", "mass_velocity")
+"""Damping models of granular (LAMMPS) with a counterpart."""
+
+
 def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] = ()) -> Model:
     """Read the sub-models of `granular` (LAMMPS), up to one of the words `stop`."""
     normal = words.word("the normal model")
@@ -375,16 +398,25 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
                 numbers["kr"] = words.number("k_roll", "stiffness")
                 numbers["gr"] = words.number("gamma_roll", "damping")
                 numbers["mur"] = words.number("mu_roll")
+            elif rolling != "none":
+                entry.impossible(f"the rolling model {rolling}", "rolling sds")
+                rolling = "none"
+                words.skip()
         elif key == "twisting":
             twisting = words.word("the twisting model")
             if twisting == "sds":
                 numbers["ktw"] = words.number("k_twist", "torque")
                 numbers["gtw"] = words.plain("gamma_twist")
                 numbers["mutw"] = words.number("mu_twist", "length")
+            elif twisting not in ("none", "marshall"):
+                entry.impossible(f"the twisting model {twisting}", "twisting marshall or sds")
+                twisting = "none"
+                words.skip()
         elif key == "damping":
             damping = words.word("the damping model")
-            if damping in ("coeff_restitution", "mdr"):
-                entry.impossible(f"damping {damping}", "damping tsuji")
+            if damping not in DAMPINGS:
+                entry.impossible(f"damping {damping}", f"damping {', '.join(DAMPINGS)}")
+                damping = "viscoelastic"
         elif key == "limit_damping":
             options["limitForce"] = True
         elif key == "cutoff":
@@ -433,12 +465,16 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
     elif style == "granular":
         deck.family["pair_entry"] = entry
         deck.own("pair_models", dict)
+        if words and not is_number(words.next):  # a number is the cutoff
+            entry.impossible(f"the further style {words.next}", "one granular style")
     elif style == "soft":
         deck.own("relaxations", list).append(
             (entry, "the pair style soft", "kind: pack, which inserts without overlap")
         )
     elif style in ("none", "zero"):
-        entry.not_needed("there are no forces between particles")
+        deck.family.pop("model", None)
+        deck.family.pop("pair_models", None)
+        deck.family["pair_entry"] = entry
     else:
         entry.impossible(
             f"the pair style {style}", "gran, gran/hooke/history, gran/hertz/history or granular"
@@ -449,6 +485,7 @@ def pair_coeff(deck: Deck, command: Command, entry: Entry) -> None:
     """pair_coeff I J [MODELS of granular]"""
     words = Words(deck, command, command.words)
     first, second = words.word("a type"), words.word("a type")
+    deck.family["has_pair_coeff"] = True
     if words.next in ("granular", "gran", "gran/hooke", "gran/hooke/history", "gran/hertz/history"):
         words.word("the style")
     if "pair_models" not in deck.family or not words:
@@ -574,6 +611,13 @@ def effective(first: Sort, second: Sort | None, a: float, b: float) -> tuple[flo
     return a * b / (a + b), m * n / (m + n)
 
 
+def _dashpot_ratio(model: Model) -> float | None:
+    """Tangential over normal dashpot of a model whose numbers are in its line; None for others."""
+    if "xt" in model.numbers:
+        return model.numbers["xt"]
+    return model.numbers["gt"] / model.numbers["gn"] if model.numbers.get("gn") else None
+
+
 def _approximations(entry: Entry) -> int:
     """Number of remarks on differences."""
     return sum(each.kind == APPROXIMATED for each in entry.remarks)
@@ -604,13 +648,27 @@ def build(deck: Deck, draft: Draft) -> None:
     models: dict[tuple[int, int], Model] = deck.family.get("pair_models", {})
     walls: list[WallContact] = deck.own("wall_contacts", list)
     if model is None and not models:
-        if walls:
-            model = walls[0].model
-        else:
-            entry = deck.runs[-1].entry if deck.runs else None
-            if entry is None:
-                return
-            raise DeckError(entry.command, "no pair_style with contact forces precedes this run.")
+        entry = deck.family.get("pair_entry") or deck.runs[-1].entry
+        if deck.family.get("pair_style") == "granular":
+            raise DeckError(
+                entry.command,
+                "no pair_coeff gives the models of pair_style granular; give one, such as pair_coeff * * "
+                "hertz/material 1e7 0.5 0.3 tangential mindlin NULL 1.0 0.5.",
+            )
+        if not walls:
+            raise DeckError(
+                entry.command, "no pair_style with contact forces precedes the end of the script."
+            )
+        model = walls[0].model
+        entry.impossible(
+            "particles without contacts with each other",
+            f"a pair_style; --partial takes the model of {model.entry.command.where} for all contacts",
+        )
+    elif model is not None and "has_pair_coeff" not in deck.family:
+        model.entry.approximated(
+            "the code requires pair_coeff * *, which the script does not give; the scene has the "
+            "coefficients of this line"
+        )
     translator = Contacts(deck, sorts, model, models, walls)
     translator.write(draft)
 
@@ -639,6 +697,11 @@ class Contacts:
     model: Model | None
     models: dict[tuple[int, int], Model]
     walls: list[WallContact]
+    stated: dict[tuple[int, str], tuple[Entry, list[str]]] = field(default_factory=dict)
+    """Keys of pairs by the entry of their model and what is said on their restitution."""
+    tensions: list[tuple[float, str, Entry]] = field(default_factory=list)
+    """Change of the tangential velocity by friction during tension, over the normal velocity of an impact
+    on a wall; pair and entry of its model."""
 
     def __post_init__(self) -> None:
         first = self.sorts[0] if self.sorts else Sort("type1", 1, REFERENCE_DENSITY, (1e-3, 1e-3))
@@ -697,6 +760,9 @@ class Contacts:
                 given = draft.get("pairs") or {}
                 if key not in given and f"{wall.material}-{first.name}" not in given:
                     self._pair(draft, key, wall.model, first, None, wall.type)
+        for (_, text), (entry, keys) in self.stated.items():
+            entry.translated(f"restitution of pairs.{', '.join(keys)}: {text}")
+        self._remark_on_tension()
         for wall, count in zip(self.walls, before, strict=True):
             if _approximations(wall.model.entry) > count:
                 for entry in wall.others:
@@ -864,6 +930,7 @@ class Contacts:
                     f"the contact laws are those of {main.entry.command.where} for all contacts: "
                     f"{main.normal} and {main.tangential}, here {each.normal} and {each.tangential}"
                 )
+            self._remark_on_parts(each, models)
             if each.options.get("tangential_damping", True) != main.options.get("tangential_damping", True):
                 each.entry.approximated(
                     f"the tangential dashpot is that of {main.entry.command.where} for all contacts"
@@ -889,6 +956,36 @@ class Contacts:
         if cohesion is not None:
             contact["cohesion"] = self._cohesion(cohesion)
         return contact
+
+    def _remark_on_parts(self, model: Model, models: Sequence[Model]) -> None:
+        """Say which part of a model is that of another one: the scene has one law for all contacts."""
+        for part in ("rolling", "twisting", "cohesion"):
+            own = getattr(model, part)
+            taken = next((getattr(each, part) for each in models if getattr(each, part) != "none"), "none")
+            if own not in ("none", taken):
+                model.entry.approximated(f"the {part} law is {taken} for all contacts, here {own}")
+
+    def _remark_on_coefficients(self, key: str, model: Model, i: int, j: int) -> None:
+        """Say how the coefficients of a pair differ from those that the scene has once for all pairs."""
+        main, first = self.main, self.first.type
+        if model.normal != main.normal:
+            return
+        compared: list[tuple[str, float, float]] = []
+        if model.normal == "hooke/stiffness":
+            names = ["kn"] if model.tangential == "no_history" else ["kn", "kt"]
+            for name in names:
+                taken, own = (self._stiffness(name, *each) for each in ((main, first, first), (model, i, j)))
+                compared.append((f"stiffness {name} [N/m]", taken, own))
+        if model.normal == "hooke/hysteresis":
+            for name in ("coefficientPlasticityDepth", "coefficientAdhesionStiffness"):
+                taken, own = (self._number(name, *each) for each in ((main, first, first), (model, i, j)))
+                compared.append((name, taken, own))
+        ratio, own_ratio = _dashpot_ratio(main), _dashpot_ratio(model)
+        if ratio is not None and own_ratio is not None:
+            compared.append(("ratio of the tangential to the normal dashpot", ratio, own_ratio))
+        for name, taken, own in compared:
+            if abs(own - taken) > 1e-3 * max(abs(own), abs(taken)):
+                model.entry.approximated(f"{key}: the {name} is {taken:.4g} for all pairs, here {own:.4g}")
 
     def _normal(self, main: Model) -> Any:
         first = self.first
@@ -1085,6 +1182,8 @@ class Contacts:
     ) -> None:
         """Write one pair; `type`: that of the partner."""
         e = self._restitution(model, first, second, type)
+        self._remark_on_coefficients(key, model, first.type, type)
+        self._state_restitution(key, model, first.type, type, e)
         values: dict[str, Any] = {"restitution": round(max(e, LEAST_RESTITUTION), 6)}
         if e < LEAST_RESTITUTION:
             model.entry.approximated(f"the restitution is {e:.3g}; {LEAST_RESTITUTION} is taken")
@@ -1109,6 +1208,10 @@ class Contacts:
         cohesion = (draft.get("contact") or {}).get("cohesion", "none")
         if cohesion != "none":
             values |= self._cohesion_of(model, cohesion, first.type, type)
+        elif values["friction"] and not model.options.get("limitForce"):
+            limited = replace(model, options={**model.options, "limitForce": True})
+            pulled = self._restitution(limited, first, second, type) - e
+            self.tensions.append((2.0 * values["friction"] * pulled, key, model.entry))
         draft.put(("pairs", key), values)
 
     def _rolling(self, model: Model, law: str, first: Sort, second: Sort | None, type: int) -> dict[str, Any]:
@@ -1156,6 +1259,52 @@ class Contacts:
         return {"surface_tension": quantity(tension, "surface_energy"), "contact_angle": angle}
 
     # Restitution
+
+    def _state_restitution(self, key: str, model: Model, i: int, j: int, e: float) -> None:
+        """Say where the restitution of a pair comes from, if it is not the number of the script."""
+        if self.main.normal == "hooke/hysteresis":
+            return  # see `_luding`
+        text = f"{e:.4g}, that of a collision in the code"
+        if model.normal in ("hertz", "hooke") and "E" not in model.numbers:
+            given = self._number("coefficientRestitution", model, i, j)
+            text += f" with {given:g} and limitForce"
+        elif model.damping == "tsuji":
+            given = model.numbers["eta"]
+            text += f" with damping tsuji of {given:g}"
+        else:
+            given = -1.0
+            text += " with its dashpot"
+            is_hertz = model.normal == "hertz/stiffness"
+            if model.damping == "viscoelastic" or is_hertz:
+                text += f" at {self.speed:.3g} m/s"
+            constant = ("velocity", "mass_velocity") if is_hertz else ("viscoelastic",)
+            if model.damping in constant:  # laws of granflow whose restitution is constant
+                model.entry.approximated(
+                    "the restitution of the script depends on the velocity; here it is that at "
+                    f"{self.speed:.3g} m/s"
+                )
+        if abs(given - e) > 1e-6:
+            self.stated.setdefault((id(model.entry), text), (model.entry, []))[1].append(key)
+
+    def _remark_on_tension(self) -> None:
+        """Say how much friction the tension at the end of a contact causes in the code, for each model.
+
+        The dashpot pulls from the velocity e' v at which the force is zero (the restitution with limitForce)
+        to the velocity e v at the end. Its impulse is m (e' - e) v, and friction is limited by mu |Fn|. An
+        impact that slides throughout changes its tangential velocity by mu (1 + e) v in granflow, without
+        tension, and by mu (1 + e + 2 (e' - e)) v in the code.
+        """
+        for entry in {id(each[2]): each[2] for each in self.tensions}.values():
+            share, key, _ = max(
+                (each for each in self.tensions if each[2] is entry), key=lambda each: each[0]
+            )
+            if share > LEAST_TENSION:
+                entry.approximated(
+                    "the dashpot of the code pulls at the end of a contact, with friction up to mu |Fn|; "
+                    "granflow cuts the tension: a sphere that slides during an impact on a wall loses "
+                    f"{share:.2g} of its normal velocity less along the wall, and the surface velocity of "
+                    f"its rotation is {2.5 * share:.2g} lower ({key})"
+                )
 
     def _spread(self, model: Model, first: Sort, second: Sort | None, type: int) -> tuple[float, float]:
         """Smallest and largest restitution of the sizes of a pair."""

@@ -391,8 +391,12 @@ def massflow(deck: Deck, fix: Fix) -> None:
         center = mesh.data.triangles().reshape(-1, 3).mean(axis=0)
         x, y, z = (float(each) for each in (np.array(point) - center) * (-1.0 if inside_out else 1.0))
         outside = (x, y, z)
-    if outside is None or not any(outside):
+    if outside is None:
         raise DeckError(words.command, "the direction of the flow is missing: vec_side X Y Z.")
+    if not any(outside):
+        raise DeckError(
+            words.command, "the direction of the flow is zero; give one, such as vec_side 0 0 -1."
+        )
     if not deletes:
         fix.entry.approximated(
             "passages backward count negative"

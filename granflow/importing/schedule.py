@@ -21,6 +21,7 @@ from granflow.importing.deck import (
     impossible,
     not_needed,
 )
+from granflow.importing.groups import exclude
 from granflow.importing.language import Command, DeckError, NotKnown
 from granflow.importing.regions import Track, track_variables
 from granflow.importing.report import Entry
@@ -193,6 +194,18 @@ def gravity(deck: Deck, fix: Fix) -> None:
     track_variables(deck, varying.track, lambda: fix.end is None)
 
 
+def nve_sphere(deck: Deck, fix: Fix) -> None:
+    """fix ID group nve/sphere [update dipole] [disc] [implicit_integration yes|no]"""
+    if "disc" in fix.words:
+        fix.entry.impossible("moments of inertia of discs", "spheres")
+    fix.entry.not_needed("particles that are not fixed are integrated")
+
+
+def nve(deck: Deck, fix: Fix) -> None:
+    """fix ID group nve: positions and velocities only"""
+    fix.entry.approximated("fix nve does not integrate the rotation; in the scene the particles rotate")
+
+
 def viscous(deck: Deck, fix: Fix) -> None:
     """fix ID group viscous GAMMA: a force -GAMMA v, which is a rate for particles of one mass."""
     words = Words(deck, fix.entry.command, fix.words)
@@ -208,13 +221,15 @@ def dump(deck: Deck, command: Command, entry: Entry) -> None:
     """dump ID GROUP STYLE N FILE ..."""
     words = Words(deck, command, command.words)
     words.word("the name of the dump")
-    words.word("a group")
+    group = words.word("a group")
     style = words.word("the style")
     steps = words.whole("the interval in steps")
     if style in ("image", "movie"):
         entry.not_needed("granflow render writes images and films of a run")
         return
     words.word("the file")
+    if group != "all":
+        entry.approximated(f"frames have all particles, not only those of {group}")
     deck.own("dumps", list).append((steps, style, entry, words.rest))
 
 
@@ -345,6 +360,15 @@ def gravity_in(deck: Deck, run: Run) -> Gravity:
         return x, y, z
     rounded = [[float(f"{each:.9g}") + 0.0 for each in row] for row in total.tolist()]
     return {"times": [float(f"{each:.12g}") for each in times.tolist()], "vectors": rounded}
+
+
+def gravity_at(deck: Deck, run: Run) -> Vector:
+    """Gravity [m/s2] at the beginning of a run; zero without a fix that acts."""
+    if not any(fix.data and fix.acts_in(run) for fix in deck.fixes_of("gravity")):
+        return (0.0, 0.0, 0.0)
+    found = gravity_in(deck, run)
+    x, y, z = found["vectors"][0] if isinstance(found, dict) else found
+    return x, y, z
 
 
 def _varying(deck: Deck, fix: Fix) -> GravityFix | None:
@@ -550,7 +574,7 @@ COMMANDS: dict[str, Translation] = {
     "fix_modify": not_needed("settings of printed energies"),
     "run_style": not_needed("the integrator is a leapfrog"),
     "neighbor": not_needed(_NEIGHBOR),
-    "neigh_modify": not_needed(_NEIGHBOR),
+    "neigh_modify": Translation(exclude, "not needed", "exclude is not possible"),
     "newton": not_needed(_COMMUNICATION),
     "communicate": not_needed(_COMMUNICATION),
     "comm_modify": not_needed(_COMMUNICATION),
@@ -571,8 +595,8 @@ COMMANDS: dict[str, Translation] = {
 FIXES: dict[str, Translation] = {
     "gravity": Translation(gravity, "gravity", "vector, chute, spherical; variables of time become a table"),
     "viscous": Translation(viscous, "damping.drag", "a rate: the coefficient over the mass"),
-    "nve/sphere": not_needed("particles that are not fixed are integrated"),
-    "nve": not_needed("particles that are not fixed are integrated"),
+    "nve/sphere": Translation(nve_sphere, "not needed", "particles that are not fixed are integrated"),
+    "nve": Translation(nve, "not needed", "in the scene the particles rotate"),
     "check/timestep/gran": not_needed("granflow check verifies the time step"),
     "print": not_needed("timeseries.csv has the results"),
     "balance": not_needed(_COMMUNICATION),
@@ -591,6 +615,16 @@ FIXES: dict[str, Translation] = {
     "enforce2d": impossible("two-dimensional simulations", "a layer one diameter thick between two walls"),
     "move": impossible("motion of particles", "a wall with the motion"),
     "momentum": impossible("momentum", "thermal: {zero_momentum: true} at the start"),
+    **dict.fromkeys(
+        ("press/berendsen", "nph", "npt", "nph/sphere", "npt/sphere"),
+        impossible(
+            "a barostat", "domain.deformation: {x: {pressure: P}} of a box without walls, for each axis"
+        ),
+    ),
+    **dict.fromkeys(
+        ("temp/berendsen", "temp/rescale", "langevin", "nvt", "nvt/sphere"),
+        impossible("a thermostat", "thermal: {velocity_rms: V} of a group at the start, or damping.drag"),
+    ),
     "couple/cfd": impossible("coupling with a fluid", "a Python program that adds forces"),
     "external": impossible("forces of another program", "a Python program that adds forces"),
     "nve/superquadric": impossible("superquadrics", "clumps of spheres: particles.NAME.clump"),

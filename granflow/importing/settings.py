@@ -19,6 +19,7 @@ from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, number, quantities, quantity
 from granflow.importing.schedule import stage_names
+from granflow.schema.messages import suggestion_sentence
 
 CHANGES = "a stage with set (temperatures, sources of heat), or a Python program (simulation.particles)"
 PROPERTIES = {"Temp": ("temperature", "number", "K"), "heatSource": ("heat_source", "power", "W")}
@@ -131,11 +132,29 @@ def _spacing(deck: Deck, words: Words) -> float:
 
 def _set_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
     spacing = _spacing(deck, words)
-    for k in range(3):
+    given: list[float | None] = []
+    for _ in range(3):
         if words.next == "NULL":
             words.word("a velocity")
+            given.append(None)
         else:
-            points.motion[chosen, k] = spacing * words.number("a velocity", "velocity")
+            given.append(spacing * words.number("a velocity", "velocity"))
+    is_added = _options(words, {"sum": "no", "units": "box"})["sum"] == "yes"
+    for k, value in enumerate(given):
+        if value is not None:
+            points.motion[chosen, k] = value + (points.motion[chosen, k] if is_added else 0.0)
+
+
+def _options(words: Words, defaults: dict[str, str]) -> dict[str, str]:
+    """The keywords at the end of a command with their values. Raises DeckError for another keyword."""
+    found = dict(defaults)
+    while words:
+        key = words.word("a keyword")
+        if key not in found:
+            remedy = suggestion_sentence(key, list(found), "keywords")
+            raise DeckError(words.command, f"velocity {words.words[1]} has no keyword {key}. {remedy}")
+        found[key] = words.word(f"a value of {key}")
+    return found
 
 
 def _energy_of(deck: Deck, temperature: float, count: int) -> float:
@@ -151,10 +170,9 @@ def _create_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarra
     """
     temperature = words.number("the temperature")
     random = np.random.default_rng(words.whole("the seed"))
-    options = {"dist": "uniform", "mom": "yes", "rot": "no", "sum": "no"}
-    while words:
-        key = words.word("a keyword")
-        options[key] = words.word(f"a value of {key}")
+    defaults = {"dist": "uniform", "mom": "yes", "rot": "no", "sum": "no"}
+    unused = {"loop": "all", "units": "box", "rigid": "no", "bias": "no", "temp": ""}
+    options = _options(words, {**defaults, **unused})
     mass = points.density[chosen] * points.radius[chosen] ** 3 * 4.0 / 3.0 * pi
     shape = (len(mass), 3)
     is_normal = options["dist"] == "gaussian"
@@ -190,8 +208,11 @@ def _ramp_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray,
     start, end = (spacing * words.number("a place", "length") for _ in "12")
     if component not in ("vx", "vy", "vz") or axis not in ("x", "y", "z") or start == end:
         raise DeckError(words.command, "a ramp is vx LO HI y LO HI with two different places.")
+    is_added = _options(words, {"sum": "no", "units": "box"})["sum"] == "yes"
     share = np.clip((points.position[chosen, "xyz".index(axis)] - start) / (end - start), 0.0, 1.0)
-    points.motion[chosen, "xyz".index(component[1])] = low + share * (high - low)
+    column = "xyz".index(component[1])
+    before = points.motion[chosen, column] if is_added else 0.0
+    points.motion[chosen, column] = before + low + share * (high - low)
 
 
 def _zero_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:

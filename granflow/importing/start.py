@@ -46,6 +46,9 @@ class Fill:
     entry: Entry
 
 
+LATER = "particles at given positions that appear after the first run"
+NEAREST_LATER = "particles at the start, or an insertion (insert: {kind: rain}) with a start"
+
 # Commands
 
 
@@ -55,12 +58,26 @@ def read_data(deck: Deck, command: Command, entry: Entry) -> None:
     path = deck.family["folder"] / words.word("the file")
     if words:
         entry.impossible(f"the keyword {words.next} of read_data", "one file with all particles")
+    if deck.time > 0.0:
+        entry.impossible(LATER, NEAREST_LATER)
+        return
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
         raise DeckError(command, f"{path} cannot be read: {error.strerror}.") from None
     box = [0.0] * 6
     section, rows, velocities = "", [], {}
+
+    def floats(words: list[str]) -> list[float]:
+        """Words of a row as numbers. Raises DeckError."""
+        try:
+            return [float(each) for each in words]
+        except ValueError:
+            raise DeckError(
+                command,
+                f"{path.name}:{number}: {' '.join(words)} has a word that is not a number.",
+            ) from None
+
     for number, raw in enumerate(lines[1:], 2):
         parts = raw.split("#")[0].split()
         if not parts:
@@ -69,17 +86,20 @@ def read_data(deck: Deck, command: Command, entry: Entry) -> None:
             section = parts[0]
             if section not in ("Atoms", "Velocities"):
                 entry.impossible(f"the section {section} of {path.name}", "Atoms and Velocities")
-        elif len(parts) >= 4 and parts[-2:] in (["xlo", "xhi"], ["ylo", "yhi"], ["zlo", "zhi"]):
+        elif parts[-2:] in (["xlo", "xhi"], ["ylo", "yhi"], ["zlo", "zhi"]):
             k = 2 * "xyz".index(parts[-1][0])
-            box[k], box[k + 1] = (deck.si(float(each), "length") for each in parts[:2])
+            box[k], box[k + 1] = (deck.si(each, "length") for each in floats(parts[:2]))
+        elif parts[-3:] == ["xy", "xz", "yz"]:
+            if any(floats(parts[:3])):
+                entry.impossible("a tilted box", "a box of right angles, or domain.lees_edwards for shear")
         elif len(parts) >= 3 and parts[-2:] == ["atom", "types"]:
-            deck.types = int(parts[0])
+            deck.types = int(floats(parts[:1])[0])
         elif section == "Atoms":
             if len(parts) < 7:
                 raise DeckError(command, f"{path.name}:{number}: an atom has id type diameter density x y z.")
-            rows.append([float(each) for each in parts[:7]])
+            rows.append(floats(parts[:7]))
         elif section == "Velocities":
-            velocities[int(float(parts[0]))] = [float(each) for each in parts[1:7]]
+            velocities[int(floats(parts[:1])[0])] = floats(parts[1:7])
     deck.box, deck.box_entry = tuple(box), entry
     if not rows:
         return
@@ -123,6 +143,10 @@ def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
     words = Words(deck, command, command.words)
     type = words.type()
     style = words.word("the style")
+    if deck.time > 0.0:
+        words.skip()
+        entry.impossible(LATER, NEAREST_LATER)
+        return
     spacing = 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
     fill = -1
     if style == "single":

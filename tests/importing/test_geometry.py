@@ -12,6 +12,7 @@ from granflow.importing.convert import convert
 from granflow.importing.language import DeckError
 from granflow.plan.build import plan_for
 from granflow.scene.blocks.motions import poses_at
+from granflow.units import to_si
 
 LIGGGHTS = """
 atom_style granular
@@ -531,11 +532,64 @@ def test_sphere_on_a_block_has_its_outer_half(tmp_path):
 # Box, shear, clumps, errors
 
 
+def periodic(deformation):
+    """A script of LAMMPS with three particles in a periodic box, without gravity and walls."""
+    atoms = "".join(f"create_atoms 1 single 0.05 0.05 {z}\n" for z in (0.02, 0.05, 0.08))
+    text = lammps(f"{atoms}set type 1 diameter 0.004\nset type 1 density 2500\n{deformation}", "p p p")
+    for line in (
+        "fix g all gravity 10 vector 0 0 -1",
+        "fix p all pour 10 1 7 region source diam one 0.004 dens 2500 2500",
+    ):
+        text = text.replace(line, "")
+    return text
+
+
 def test_shear_of_the_box(tmp_path):
-    text = lammps("fix s all deform 1 xz erate 20 remap v\nrun 100", boundary="p p p")
-    found, scene = imported(tmp_path, text.replace("fix g all gravity 10 vector 0 0 -1", ""))
+    found, scene = imported(tmp_path, periodic("fix s all deform 1 xz erate 20 remap v\nrun 100"))
     assert scene["domain"]["lees_edwards"] == {"flow": "x", "gradient": "z", "rate": "20 1/s"}
     assert "domain.lees_edwards" in sentences(found, "deform")
+
+
+def test_widths_that_change(tmp_path):
+    """erate -0.5 1/s for 0.4 s leaves 0.8 of the width: the logarithmic rate is ln 0.8 / 0.4 s; trate is this rate.
+
+    The ratio of the linear and the exponential course, (1 + (F - 1) s) F^-s, is largest at 1 + (F - 1) s = (F - 1) / ln F.
+    """
+    found, scene = imported(tmp_path, periodic("fix s all deform 1 x erate -0.5 z trate 0.1\nrun 40000"))
+    deformation = scene["domain"]["deformation"]
+    rates = {axis: to_si(each["strain_rate"], "rate") for axis, each in deformation.items()}
+    assert rates == pytest.approx({"x": np.log(0.8) / 0.4, "z": 0.1})
+    width = (0.8 - 1) / np.log(0.8)
+    deviation = width / 0.8 ** ((width - 1) / (0.8 - 1)) - 1
+    remark = sentences(found, "deform")
+    assert f"up to {100 * deviation:.2g} % from that of the script" in remark and "along z" not in remark
+    checked(tmp_path, found)
+
+
+def test_widths_that_change_in_one_of_three_runs(tmp_path):
+    text = periodic("run 1000\nfix s all deform 1 y vel -1.0\nrun 5000\nunfix s\nrun 1000")
+    found, scene = imported(tmp_path, text)
+    assert "deformation" not in scene["domain"]
+    first, second, third = scene["stages"]
+    assert "deformation" not in first and third["deformation"] == {"y": {"strain_rate": 0}}
+    assert to_si(second["deformation"]["y"]["strain_rate"], "rate") == pytest.approx(np.log(0.5) / 0.05)
+    checked(tmp_path, found)
+
+
+@pytest.mark.parametrize(
+    ("deformation", "reason"),
+    [
+        ("fix s all deform 1 x volume\nrun 10", "the deformation x volume of the box"),
+        ("fix s all press/berendsen iso 1 1 1\nrun 10", "nearest: domain.deformation: {x: {pressure: P}}"),
+        (
+            "change_box all boundary f f f\nfix s all deform 1 x erate 1\nrun 10",
+            "without periodic boundaries",
+        ),
+    ],
+)
+def test_deformations_that_are_not_possible(tmp_path, deformation, reason):
+    found, _ = imported(tmp_path, periodic(deformation))
+    assert reason in sentences(found, "fix s")
 
 
 def test_frozen_particles(tmp_path):

@@ -1,0 +1,245 @@
+"""Scripts of which the scene has a part only: what the report says, for the line that the part belongs to."""
+
+from math import exp, log, pi, sqrt
+
+import pytest
+import yaml
+
+from granflow.importing.convert import convert
+from granflow.importing.language import DeckError
+from granflow.importing.materials import free_restitution, tsuji
+
+LAMMPS = """
+units si
+atom_style sphere
+boundary f f f
+newton off
+comm_modify vel yes
+region box block 0 0.1 0 0.1 0 0.1
+create_box 2 box
+pair_style gran/hooke/history 1e4 NULL 100 NULL 0 1
+pair_coeff * *
+timestep 1e-5
+fix g all gravity 9.81 vector 0 0 -1
+create_atoms 1 single 0.05 0.05 0.01
+create_atoms 2 single 0.05 0.05 0.02
+set group all diameter 0.004
+set group all density 2500
+group one type 1
+group two type 2
+fix i all nve/sphere
+run 100
+"""
+LIGGGHTS = """
+atom_style granular
+boundary f f f
+newton off
+units si
+region box block 0 0.1 0 0.1 0 0.1 units box
+create_box 2 box
+fix m1 all property/global youngsModulus peratomtype 1e7 1e7
+fix m2 all property/global poissonsRatio peratomtype 0.3 0.3
+fix m3 all property/global coefficientRestitution peratomtypepair 2 0.6 0.6 0.6 0.6
+fix m4 all property/global coefficientFriction peratomtypepair 2 0.4 0.4 0.4 0.4
+fix m5 all property/global coefficientRollingFriction peratomtypepair 2 0.1 0.1 0.1 0.1
+fix m6 all property/global coefficientRollingViscousDamping peratomtypepair 2 0.1 0.1 0.1 0.1
+pair_style gran model hertz tangential history
+pair_coeff * *
+timestep 1e-5
+fix g all gravity 9.81 vector 0 0 -1
+fix p1 all particletemplate/sphere 15485863 atom_type 1 density constant 2500 radius constant 0.002
+fix d all particledistribution/discrete 15485867 1 p1 1
+fix ins all insert/pack seed 32452843 distributiontemplate d all_in yes region box particles_in_region 5
+fix w all wall/gran model hertz tangential history primitive type 2 zplane 0.0
+fix i all nve/sphere
+run 100
+"""
+DECKS = {"lammps": LAMMPS, "liggghts": LIGGGHTS}
+
+
+def report(tmp_path, deck, *changes):
+    """The translation of a script in which texts are replaced."""
+    text = DECKS[deck]
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    (tmp_path / "in.deck").write_text(text)
+    return convert(tmp_path / "in.deck")
+
+
+def remark(found, part):
+    """Kind and sentence of the only line of the report that contains a text."""
+    ((kind, sentence),) = {(kind, said) for _, line, kind, said in found.report.lines() if part in line}
+    return kind, sentence
+
+
+GRANULAR = "pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.3 tangential mindlin NULL 1 0"
+HOOKE = "pair_style gran/hooke/history 1e4 NULL 100 NULL 0 1\npair_coeff * *"
+
+
+@pytest.mark.parametrize(
+    ("deck", "changes", "part", "kind", "text"),
+    [
+        ("lammps", [("units si\n", "")], "create_box", "approximated", "numbers of the default lj"),
+        ("lammps", [("timestep 1e-5\n", "")], "run", "translated", "the default of units si"),
+        ("lammps", [("pair_coeff * *\n", "")], "pair_style", "approximated", "requires pair_coeff * *"),
+        ("lammps", [(HOOKE, f"{GRANULAR} rolling ball 1")], "pair_coeff", "not possible", "the rolling model ball"),
+        ("lammps", [(HOOKE, f"{GRANULAR} damping none")], "pair_coeff", "not possible", "damping none"),
+        ("lammps", [(HOOKE, GRANULAR.replace("granular", "granular lj/cut"))], "pair_style", "not possible", "lj/cut"),
+        (
+            "lammps",
+            [(HOOKE, GRANULAR.replace("hertz/material 1e7 0.9 0.3", "hertz 1e7 0.9") + " damping velocity")],
+            "pair_coeff",
+            "approximated",
+            "depends on the velocity; here it is that at 0.7 m/s",  # half of sqrt(2 9.81 0.1)
+        ),
+        (
+            "lammps",
+            [(HOOKE, "pair_style none"), ("fix i", "fix w all wall/gran hooke 1e4 NULL 100 NULL 0 1 zplane 0 NULL\nfix i")],
+            "pair_style none",
+            "not possible",
+            "particles without contacts with each other",
+        ),
+        ("lammps", [("fix i", "neigh_modify exclude type 1 2\nfix i")], "neigh_modify", "not possible", "exclude type 1 2"),
+        ("lammps", [("fix i", "neigh_modify delay 0\nfix i")], "neigh_modify", "not needed", "neighbor list"),
+        (
+            "lammps",
+            [("fix i all", "neigh_modify exclude group one one\nfix f one freeze\nfix i all")],
+            "neigh_modify",
+            "not needed",
+            "neighbor list",
+        ),
+        ("lammps", [("nve/sphere", "nve")], "fix i", "approximated", "does not integrate the rotation"),
+        ("lammps", [("nve/sphere", "nve/sphere disc")], "fix i", "not possible", "moments of inertia of discs"),
+        ("lammps", [("nve/sphere", "rigid single")], "fix i", "not possible", "rigid bodies of particles at given"),
+        ("lammps", [("run 100", "run 100\ncreate_atoms 1 single 0.05 0.05 0.05\nrun 100")], "0.05 0.05 0.05", "not possible", "after the first run"),
+        ("lammps", [("run 100", "dump d one custom 10 f id\nrun 100")], "dump", "approximated", "not only those of one"),
+        ("lammps", [("group one", "change_box all units box x final 0 0.2\ngroup one")], "change_box", "translated", "domain"),
+        ("liggghts", [("tangential history\npair", "tangential history ktToKnUser on\npair")], "pair_style", "not possible", "ktToKnUser"),
+        (
+            "liggghts",
+            [("tangential history\npair", "tangential history rolling_friction cdt\npair"), ("history primitive", "history rolling_friction epsd2 primitive")],
+            "fix w",
+            "approximated",
+            "the rolling law is cdt for all contacts, here epsd2",
+        ),
+        (
+            "liggghts",
+            [("fix g all gravity", "group late type 1\nfix g late gravity")],
+            "fix g",
+            "not possible",
+            "inserted particles are members of all;",
+        ),
+        ("liggghts", [("fix i all", "group late type 1\nfix i late")], "fix i late", "approximated", "does not move the inserted"),
+        ("liggghts", [("insert/pack", "insert/pack/dense")], "fix ins", "not possible", "kind: pack"),
+        (
+            "liggghts",
+            [("primitive type 2 zplane 0.0", "primitive type 2 zplane 0.0 contact_area overlap shear x 0.5")],
+            "fix w",
+            "approximated",
+            "walls.w",
+        ),
+    ],
+)  # fmt: skip
+def test_remark(tmp_path, deck, changes, part, kind, text):
+    found = report(tmp_path, deck, *changes)
+    said = remark(found, part)
+    assert said[0] == kind and text in said[1]
+
+
+def test_keywords_after_contact_area_and_units_are_read(tmp_path):
+    change = ("zplane 0.0", "zplane 0.0 contact_area overlap shear x 0.5")
+    walls = yaml.safe_load(report(tmp_path, "liggghts", change).text)["walls"]
+    assert walls["w"]["motion"]["kind"] == "surface_velocity"
+    change = ("group one", "change_box all units box x final 0 0.2\ngroup one")
+    domain = yaml.safe_load(report(tmp_path, "lammps", change).text)["domain"]
+    assert domain["max"][0] == "200 mm"
+
+
+@pytest.mark.parametrize(
+    ("deck", "changes", "message"),
+    [
+        ("lammps", [(HOOKE, "pair_style granular")], "no pair_coeff gives the models of pair_style granular"),
+        ("lammps", [("timestep", "units cgs\ntimestep")], "units follows the box"),
+        (
+            "lammps",
+            [("fix i", "velocity all set 1 0 0 summ yes\nfix i")],
+            "has no keyword summ. Did you mean sum?",
+        ),
+        (
+            "lammps",
+            [("fix g all gravity 9.81 vector 0 0 -1\n", "fix p all pour 10 1 7 region box diam one 0.004\n")],
+            "fix pour needs a fix gravity along -z",
+        ),
+        (
+            "liggghts",
+            [("particles_in_region 5", "particles_in_region 5 orientation up")],
+            "orientation is up",
+        ),
+    ],
+)
+def test_errors(tmp_path, deck, changes, message):
+    with pytest.raises(DeckError, match=message):
+        report(tmp_path, deck, *changes)
+
+
+def test_velocities_are_added(tmp_path):
+    change = ("fix i", "velocity all set 1 NULL 2\nvelocity all set 1 3 NULL sum yes\nfix i")
+    found = report(tmp_path, "lammps", change)
+    rows = found.files["type1.csv"].decode().splitlines()
+    values = dict(zip(rows[0].split(","), map(float, rows[1].split(",")), strict=True))
+    assert [values[name] for name in ("vx", "vy", "vz")] == [2.0, 3.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("random", "random"),
+        ("constant 0.5 0 0 0.8660254037844386", ([0, 0, 0.866025403784], "120 deg")),
+        ("template", None),
+    ],
+)
+def test_orientation_of_multispheres(tmp_path, words, expected):
+    """A quaternion (cos(a/2), n sin(a/2)) turns by a about n."""
+    template = (
+        "particletemplate/multisphere 15485863 atom_type 1 density constant 2500 nspheres 2 ntry 1000 "
+        "spheres -0.001 0 0 0.002 0.001 0 0 0.002 type 1"
+    )
+    sphere = "particletemplate/sphere 15485863 atom_type 1 density constant 2500 radius constant 0.002"
+    inserted = (
+        (sphere, template),
+        ("all_in yes", f"orientation {words} all_in yes"),
+        ("nve/sphere", "multisphere"),
+    )
+    (group,) = yaml.safe_load(report(tmp_path, "liggghts", *inserted).text)["particles"].values()
+    orientation = group["clump"].get("orientation")
+    if isinstance(expected, tuple):
+        assert (orientation["axis"], orientation["angle"]) == expected
+    else:
+        assert orientation == expected
+
+
+def test_restitution_that_is_not_the_number_of_the_script(tmp_path):
+    """Tsuji's polynomial is a dashpot over sqrt(k M): the damping ratio of a Hertz spring is it over sqrt(5)."""
+    found = report(tmp_path, "lammps", (HOOKE, f"{GRANULAR} damping tsuji"))
+    zeta = tsuji(0.9) / sqrt(5.0)
+    e = exp(-pi * zeta / sqrt(1.0 - zeta**2))
+    kind, sentence = remark(found, "pair_coeff")
+    assert kind == "translated"
+    pairs = "type1-type1, type1-type2, type2-type2"
+    assert (
+        f"restitution of pairs.{pairs}: {e:.4g}, that of a collision in the code with damping tsuji of 0.9"
+        in sentence
+    )
+    given = yaml.safe_load(found.text)["pairs"]["type1-type2"]["restitution"]
+    assert given == pytest.approx(e, abs=1e-6)
+
+    change = ("tangential history\npair", "tangential history limitForce on\npair")
+    zeta = -log(0.6) / sqrt(pi**2 + log(0.6) ** 2)
+    _, sentence = remark(report(tmp_path, "liggghts", change), "pair_style")
+    assert (
+        f"{free_restitution(zeta, True):.4g}, that of a collision in the code with 0.6 and limitForce"
+        in sentence
+    )
+    _, sentence = remark(report(tmp_path, "liggghts"), "pair_style")
+    assert "restitution of pairs" not in sentence  # it is the number of the script
