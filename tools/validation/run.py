@@ -7,6 +7,8 @@
                                                writes both files to out/validation
     python tools/validation/run.py --peers     all cases; runs LIGGGHTS (liggghts) and LAMMPS (lmp), as far as
                                                installed, for about 25 minutes more
+    python tools/validation/run.py --only "wear of walls" "motions"
+                                               the given families; the rows and dates of all others stay
 
 Each case has a reference, an allowed deviation with its reason, and a status (`case.py`). Without --peers, the
 figures of LIGGGHTS and LAMMPS are those that `run_peers.py` stored. Exit code 1: a deviation exceeds the
@@ -17,7 +19,7 @@ allowed one where the reference applies.
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
@@ -140,6 +142,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     extent = parser.add_mutually_exclusive_group()
     extent.add_argument("--quick", action="store_true", help="only cheap cases")
     extent.add_argument("--peers", action="store_true", help="run LIGGGHTS and LAMMPS")
+    extent.add_argument(
+        "--only",
+        nargs="+",
+        default=(),
+        choices=list(all_families()),
+        metavar="FAMILY",
+        help=f"replace the rows of these families alone: {', '.join(all_families())}",
+    )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="directory of validation.md and validation_results.json"
     )
@@ -147,12 +157,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = options.out or (ROOT / "out" / "validation" if options.quick else None)
     page, results = (out / PAGE.name, out / RESULTS.name) if out else (PAGE, RESULTS)
     try:
-        cases = simulated_cases(
-            options.quick, options.peers, page.parent / "peers" if out else Path("out/peers")
+        found = simulated_families(
+            options.quick, options.peers, options.only, page.parent / "peers" if out else Path("out/peers")
         )
     except GranflowError as error:
         parser.error(str(error))
-    write(page, results, cases, options.quick)
+    write(page, results, found, options.quick, bool(options.only))
+    cases = [each for family in found.values() for each in family]
     for each in cases:
         if each.status != "pass":
             print(
@@ -164,44 +175,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if "fail" in statuses else 0
 
 
-def simulated_cases(quick: bool, with_peers: bool, folder: Path) -> list[ValidationCase]:
-    """Cases of QUICK, or all; prints the name of each family when it starts.
+def simulated_families(
+    quick: bool, with_peers: bool, only: Sequence[str], folder: Path
+) -> dict[str, list[ValidationCase]]:
+    """Cases of the families of QUICK, of those named in `only`, or of all; prints the name of each family when
+    it starts.
 
     with_peers:  run the installed ones of LIGGGHTS and LAMMPS in `folder` instead of reading their stored
                  figures
 
     Raises GranflowError if no other code can be run.
     """
-    if quick:
-        families = QUICK
-    else:
-        peers = run_peers(folder, print) if with_peers else {}
-        families = {**FAMILIES, **peer_families(peers)}
-    cases = []
+    families = QUICK if quick else all_families(run_peers(folder, print) if with_peers else {})
+    found = {}
     for name, family in families.items():
-        print(name, flush=True)
-        cases += family()
-    return cases
+        if not only or name in only:
+            print(name, flush=True)
+            found[name] = family()
+    return found
 
 
-def peer_families(peers: Stored) -> dict[str, Family]:
-    """Families of the cases of LIGGGHTS and LAMMPS; stored figures are read for codes that `peers` lacks."""
-    return {f"{name} of LIGGGHTS and LAMMPS": partial(peer_cases, name, peers) for name in CASES}
+def all_families(peers: Stored | None = None) -> dict[str, Family]:
+    """FAMILIES, and those of LIGGGHTS and LAMMPS; stored figures are read for codes that `peers` lacks."""
+    return {
+        **FAMILIES,
+        **{f"{name} of LIGGGHTS and LAMMPS": partial(peer_cases, name, peers) for name in CASES},
+    }
 
 
-def write(page: Path, results: Path, cases: Sequence[ValidationCase], quick: bool) -> None:
-    """Writes the data of the cases, and the page rendered from them.
+def write(
+    page: Path, results: Path, found: Mapping[str, Sequence[ValidationCase]], quick: bool, merge: bool
+) -> None:
+    """Writes the data of the cases of each family, with version and date, and the page rendered from them.
+
+    merge:  keep the stored rows of the other families
 
     The complete page keeps the table of wrong models, which `wrong_models.py` writes.
     """
-    stored = {
-        "version": __version__,
-        "date": date.today().isoformat(),
-        "quick": quick,
-        "cases": [each.as_dict() for each in cases],
-    }
+    now = {"version": __version__, "date": date.today().isoformat()}
+    families = {name: {**now, "cases": [each.as_dict() for each in cases]} for name, cases in found.items()}
+    stored = {"quick": quick, "families": families}
     if not quick:
-        stored["wrong_models"] = json.loads(RESULTS.read_text(encoding="utf-8"))["wrong_models"]
+        before = json.loads(RESULTS.read_text(encoding="utf-8"))
+        stored["wrong_models"] = before["wrong_models"]
+        if merge:
+            merged = {**before["families"], **families}
+            stored["families"] = {name: merged[name] for name in all_families() if name in merged}
     write_stored(page, results, stored)
 
 
@@ -217,8 +236,13 @@ def write_stored(page: Path, results: Path, stored: Mapping[str, Any]) -> None:
 
 def rendered(stored: Mapping[str, Any]) -> str:
     """Text of the page from the data; statuses are computed again."""
-    cases = [ValidationCase.from_dict(each) for each in stored["cases"]]
-    kinds = dict.fromkeys(each.kind for each in cases)
+    cases: dict[str, list[ValidationCase]] = {}
+    origins: dict[str, set[str]] = {}
+    for family in stored["families"].values():
+        for each in map(ValidationCase.from_dict, family["cases"]):
+            cases.setdefault(each.kind, []).append(each)
+            origins.setdefault(each.kind, set()).add(f"{family['version']}, {family['date']}")
+    every = [each for of_kind in cases.values() for each in of_kind]
     environment = Environment(
         loader=FileSystemLoader(TEMPLATE.parent),
         undefined=StrictUndefined,
@@ -227,14 +251,12 @@ def rendered(stored: Mapping[str, Any]) -> str:
         keep_trailing_newline=True,
     )
     return environment.get_template(TEMPLATE.name).render(
-        sections={kind: section_of([each for each in cases if each.kind == kind]) for kind in kinds},
-        failed=[each.name for each in cases if each.status == "fail"],
-        missed=[each.name for each in cases if each.status == "miss"],
+        sections={kind: section_of(of_kind, origins[kind]) for kind, of_kind in cases.items()},
+        failed=[each.name for each in every if each.status == "fail"],
+        missed=[each.name for each in every if each.status == "miss"],
         quick=stored["quick"],
-        count=len(cases),
+        count=len(every),
         wrong_models=stored.get("wrong_models", []),
-        version=stored["version"],
-        date=stored["date"],
     )
 
 
@@ -245,6 +267,7 @@ class Section:
 
     subject:  what is compared, one sentence
     largest:  largest deviation of a case within the range of its reference, over the allowed one
+    origin:   versions of granflow and dates of the simulations
     """
 
     heads: Sequence[str]
@@ -252,9 +275,10 @@ class Section:
     notes: Sequence[str]
     subject: str
     largest: float
+    origin: str
 
 
-def section_of(cases: Sequence[ValidationCase]) -> Section:
+def section_of(cases: Sequence[ValidationCase], origins: Collection[str]) -> Section:
     """Table with a row for each case; cases of equal source, derivation and remark refer to the same note."""
     notes = list(dict.fromkeys(_note(each) for each in cases))
     rows = [
@@ -272,7 +296,8 @@ def section_of(cases: Sequence[ValidationCase]) -> Section:
     # A case that must be exact has the allowed deviation 0.
     shares = [abs(each.deviation) / each.allowed for each in cases if each.in_range and each.deviation]
     largest = max(shares, default=0.0)
-    return Section(HEADS, rows, notes, SUBJECTS.get(cases[0].kind, ""), largest)
+    origin = "; ".join(sorted(origins))
+    return Section(HEADS, rows, notes, SUBJECTS.get(cases[0].kind, ""), largest, origin)
 
 
 def _note(case: ValidationCase) -> str:

@@ -45,7 +45,8 @@ def test_wrong_number_fails_with_exit_code_1(tmp_path, families, capsys, value, 
     assert run.main(["--out", str(tmp_path)]) == exit_code
     assert ("fail: kind, name: 3 instead of 2 m" in capsys.readouterr().out) == bool(exit_code)
     status = "fail" if exit_code else "pass"
-    assert json.loads((tmp_path / "validation_results.json").read_text())["cases"][0]["status"] == status
+    stored = json.loads((tmp_path / "validation_results.json").read_text())
+    assert [each["status"] for each in stored["families"]["one"]["cases"]] == [status]
     page = (tmp_path / "validation.md").read_text()
     assert f"| {status} |" in page and "### Wrong models" in page
 
@@ -56,6 +57,31 @@ def test_quick_runs_its_own_cases(tmp_path, monkeypatch, families):
     assert run.main(["--quick", "--out", str(tmp_path)]) == 0
     page = (tmp_path / "validation.md").read_text()
     assert "--quick" in page and "### Wrong models" not in page
+
+
+def test_only_replaces_the_rows_of_its_families(tmp_path, monkeypatch, families):
+    """The rows of the other families keep their numbers and dates, in the order of the families."""
+    families["new"] = lambda: [case(2.0, scale=1.0)]
+    families["old"] = families["other"] = lambda: 1 / 0
+    before = {
+        name: {"version": "0.0", "date": "2000-01-01", "cases": [case(value).as_dict()]}
+        for name, value in (("old", 2.01), ("new", 3.0))
+    }
+    data = tmp_path / "before.json"
+    data.write_text(json.dumps({"quick": False, "families": before, "wrong_models": []}))
+    monkeypatch.setattr(run, "RESULTS", data)
+    assert run.main(["--only", "new", "--out", str(tmp_path / "out")]) == 0
+    stored = json.loads((tmp_path / "out" / "before.json").read_text())["families"]
+    assert list(stored) == ["new", "old"] and stored["old"] == before["old"]
+    assert stored["new"]["cases"] == [case(2.0, scale=1.0).as_dict()]
+    assert stored["new"]["date"] != "2000-01-01"
+    assert "| 0.0, 2000-01-01; " in (tmp_path / "out" / "validation.md").read_text()
+
+
+def test_only_names_the_families(capsys):
+    with pytest.raises(SystemExit):
+        run.main(["--only", "silos"])
+    assert "invalid choice: 'silos' (choose from" in capsys.readouterr().err
 
 
 def test_deviation_beyond_the_range_of_a_reference_is_a_miss(tmp_path, families, capsys):
@@ -73,6 +99,8 @@ def test_page_of_the_documentation_equals_its_stored_data():
 
 def test_stored_cases_are_within_the_allowed_deviations():
     stored = json.loads(STORED.read_text(encoding="utf-8"))
-    cases = [ValidationCase.from_dict(each) for each in stored["cases"]]
+    families = stored["families"].values()
+    cases = [ValidationCase.from_dict(each) for family in families for each in family["cases"]]
+    assert set(stored["families"]) == set(run.all_families())
     assert len(cases) > 100 and not stored["quick"]
     assert [each.name for each in cases if each.status == "fail"] == []
