@@ -39,6 +39,8 @@ from validation.attraction import attraction_cases
 from validation.case import ValidationCase
 from validation.collisions import elastic_cases, restitution_cases, stated_cases, steel_cases
 from validation.cooling import MODULI, QUICK_COUNT, haff_cases, viscoelastic_gas_cases
+from validation.deforming_box import deforming_box_cases
+from validation.equipment import equipment_motion_cases, residence_cases, wear_cases
 from validation.heat_bed import heat_bed_cases
 from validation.motion import motion_cases
 from validation.normal_models import normal_model_cases
@@ -50,7 +52,9 @@ from validation.rolling_models import rolling_model_cases, twisting_cases
 from validation.silo import QUICK_COUNT as QUICK_SILO
 from validation.silo import discharge_cases, janssen_cases
 from validation.sticking import sticking_cases
+from validation.triaxial import triaxial_cases
 from validation.vibrated import vibrated_cases
+from validation.viscous_bridge import viscous_bridge_cases
 
 Family = Callable[[], list[ValidationCase]]
 TWO_BODY: Mapping[str, Family] = {
@@ -71,6 +75,11 @@ TWO_BODY: Mapping[str, Family] = {
     "compressed row": bed_cases,
     "static column": column_cases,
     "vibrated particle": vibrated_cases,
+    "viscous bridges": viscous_bridge_cases,
+    "wear of walls": wear_cases,
+    "residence times": residence_cases,
+    "motions": equipment_motion_cases,
+    "deforming box": deforming_box_cases,
 }
 """Functions that simulate cases of few particles, by the name in progress messages."""
 QUICK_REPEATS = 2
@@ -92,6 +101,7 @@ FAMILIES: Mapping[str, Family] = {
     "layer on a slope": layer_cases,
     "sheared box": cell_cases,
     "heat in a bed": heat_bed_cases,
+    "triaxial compression": triaxial_cases,
 }
 """All cases but those of LIGGGHTS and LAMMPS."""
 PAGE = ROOT / "docs" / "pages" / "validation.md"
@@ -114,12 +124,18 @@ SUBJECTS = {
     "Sliding and rolling": "A sphere that first slides and then rolls on a plane.",
     "Contacts that last": "Contacts that are loaded again, and the decay of oscillations under a load.",
     "Inelastic particle on a vibrating plate": "Take-off and periodic bounces on a vibrating plate.",
+    "Viscous liquid bridges": "Two wet spheres that separate, and that collide.",
+    "Wear of walls": "Worn volume of a sliding body (Archard) and of impacts (Finnie).",
+    "Residence times": "Mean and deviation of two streams of known velocity.",
+    "Motions of walls and gravity": "A chain of motions, gravity that turns, a sphere in a spherical wall.",
+    "Deforming box": "Pressures, widths and work of a periodic lattice that is compressed.",
     "Gas of inelastic spheres": "Cooling of a granular gas (Haff's law).",
     "Gas of viscoelastic spheres": "Cooling of a gas whose restitution depends on the velocity.",
     "Narrow silo": "Weight that the walls of a silo carry (Janssen).",
     "Discharge of a flat-bottomed silo": "Mass flow rate over the diameter of the orifice (Beverloo).",
     "Sheared flows": "Friction and solid fraction of flows over the inertial number.",
     "Heat conduction in a bed": "Effective conductivity of beds of spheres in air and in vacuum.",
+    "Triaxial compression": "Stress ratio and volume of a sheared packing (LAMMPS).",
     "LIGGGHTS and LAMMPS, column": "Collapse of a column, from the same initial state.",
     "LIGGGHTS and LAMMPS, hopper": "Discharge of a hopper, from the same initial state.",
     "LIGGGHTS and LAMMPS, flat silo with a slot": "Discharge through a slot, from the same initial state.",
