@@ -506,12 +506,13 @@ def _impact(touching: PairCase, plan: Plan, velocity: float, largest: float) -> 
 def _at_rest(touching: PairCase, plan: Plan, contact: ContactPair, is_impact: bool = False) -> str:
     """Cause and remedy of an overlap that no impact of the two bodies alone explains.
 
-    A static load, if the weight or a wall explains at least EXPLAINED of the overlap; otherwise other
-    particles that press in motion, such as those that land on a bed or slide down in a drum.
+    A static load, if the weight, a wall or a deforming box explains at least EXPLAINED of the overlap;
+    otherwise other particles that press in motion, such as those that land on a bed or slide down in a drum,
+    or the strain of a deforming box, which has no walls.
     """
     weight = BedPressure("weight", "", contact.weight, max(3.0 * plan.particle_capacity, 1.0))
     by_weight = SUDDEN * weight.largest_force(2.0 * touching.overlap_radius)
-    by_wall = max((each.force for each in plan.forecasts if each.cause == "wall"), default=0.0)
+    by_wall = max((each.force for each in plan.forecasts if each.cause in ("wall", "box")), default=0.0)
     observed = ContactForces(plan.laws, touching, 1.0).total(
         GROWTH * contact.overlap * touching.overlap_radius, 0.0
     )
@@ -520,6 +521,8 @@ def _at_rest(touching: PairCase, plan: Plan, contact: ContactPair, is_impact: bo
     remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, force), expected)
     if plan.laws.normal.softer_after_slow_onset:
         remedy = f"{_fixed_stiffness(plan)}, or {remedy}"
+    if plan.features.deforming_box:
+        return _compressed(remedy)
     by_load = static_overlap(plan.laws, touching, max(by_weight, by_wall))
     if by_load < EXPLAINED * contact.overlap:
         possible = is_impact and contact.impact_velocity <= TOLERANCE * plan.impact_velocity.value
@@ -533,6 +536,14 @@ def _at_rest(touching: PairCase, plan: Plan, contact: ContactPair, is_impact: bo
     )
     less = ", lower the pressure" if pressing else ""
     return f"its cause is {cause}: {remedy}{less}."
+
+
+def _compressed(remedy: str) -> str:
+    """Cause and remedy of an overlap in a deforming box."""
+    return (
+        "the deforming box presses the particles together: end the compression at a lower box_pressure "
+        f"(stages.N.until), lower its strain_rate, max_rate or pressure, or {remedy}."
+    )
 
 
 def _fixed_stiffness(plan: Plan) -> str:
@@ -713,11 +724,13 @@ def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], tim
         position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, arrays["position_at_rebuild"])
     partner_index = np.maximum(partner, 0)
-    branch = position[owner] - state.periodic_box.nearest_images(position[partner_index], position[owner])
+    images, surface_velocity = state.periodic_box.nearest_images_with_velocity(
+        position[partner_index], velocity[partner_index], position[owner], time
+    )
+    branch = position[owner] - images
     distance = np.linalg.norm(branch, axis=1)
     overlap = arrays["radius"][owner] + arrays["radius"][partner_index] - distance
     normal = branch / np.maximum(distance, 1e-3 * arrays["radius"][owner])[:, None]
-    surface_velocity = velocity[partner_index]
     smaller = np.minimum(arrays["radius"][owner], arrays["radius"][partner_index])
     face = -1 - partner
     partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])

@@ -213,7 +213,8 @@ def write_deformation(state: State, stage: str) -> None:
     if state.deformation is None:
         return
     target, rate, gain = np.zeros((3, 3))
-    deformation = state.plan.scene.deformation_in(stage) or Deformation.model_construct()
+    acting = state.plan.scene.deformation_in(stage)
+    deformation = acting[1] if acting else Deformation.model_construct()
     for axis, given in deformation.by_axis.items():
         k = AXES.index(axis)
         if given.pressure is None:
@@ -254,6 +255,24 @@ def at_rebuild(saved: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {**saved, "width": saved["width_at_rebuild"], "stretch": np.ones(3)}
 
 
+def target_pressures(state: State) -> dict[int, float]:
+    """Target pressure [Pa] by number of the axis, of those whose strain rate follows a pressure."""
+    if state.deformation is None:
+        return {}
+    gain, target = state.deformation.gain.to_numpy(), state.deformation.target.to_numpy()
+    return {k: float(target[k]) for k in range(len(AXES)) if gain[k] > 0.0}
+
+
+def box_pressures(state: State) -> np.ndarray:
+    """Pressure (3,) [Pa] of the contacts along each axis of a deforming box, 0 along axes that are not
+    periodic; (0,) if the widths are constant."""
+    if state.deformation is None:
+        return np.zeros(0)
+    sums = state.deformation.virial.to_numpy()[: state.wall_row_count].sum(axis=0)
+    volume = float(np.prod(state.deformation.width.to_numpy()))
+    return np.asarray(sums * (state.plan.virial_unit / SHARES) / volume)
+
+
 def deformation_totals(state: State) -> dict[str, float]:
     """Width [m], logarithmic strain and pressure [Pa] of each periodic axis, solid fraction and volumetric
     strain.
@@ -268,8 +287,7 @@ def deformation_totals(state: State) -> dict[str, float]:
     plan = state.plan
     width = state.deformation.width.to_numpy()
     volume = float(np.prod(width))
-    sums = state.deformation.virial.to_numpy()[: state.wall_row_count].sum(axis=0)
-    pressure = sums * (plan.virial_unit / SHARES) / volume
+    pressure = box_pressures(state)
     strain = np.log(width / plan.periodic_box.width)
     found: dict[str, float] = {}
     for k in plan.periodic_box.axes:

@@ -318,7 +318,7 @@ def controlled_totals(state: State) -> dict[str, float]:
 def controlled_forces(state: State) -> np.ndarray:
     """Force (motions,) [N] of the wall of each motion on the particles, along its direction, in the last
     step."""
-    return 0.0 - _forces_on_walls(state)
+    return 0.0 - _forces_on_walls(state) if state.plan.controlled_motions else np.zeros(0)
 
 
 def _forces_on_walls(state: State) -> np.ndarray:

@@ -76,9 +76,10 @@ class PeriodicBox:
         Each periodic coordinate is then in [low, low + width), except for rounding; the input is not
         modified.
         """
-        return self._shifted(
-            points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
-        )[0]
+        return self._shifted(points, self._counts_from_low)[0]
+
+    def _counts_from_low(self, axis: int, shifted: np.ndarray) -> np.ndarray:
+        return np.asarray(np.floor((shifted - self.low[axis]) / self.width[axis]))
 
     def wrap_with_velocity(
         self, points: np.ndarray, velocity: np.ndarray, time: float
@@ -88,22 +89,44 @@ class PeriodicBox:
         A point that crosses a Lees-Edwards face upward gets the velocity v - speed along the flow axis, one
         that crosses a face of a deforming box upward v - width_velocity along its normal.
         """
-        shifted, image_counts = self.at(time)._shifted(
-            points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
-        )
-        if self.width_velocity is not None:
-            return shifted, velocity - np.round((points - shifted) / self.width) * self.width_velocity
-        if self.image_motion is None:
-            return shifted, velocity
-        shifted_velocity = np.array(velocity)
-        shifted_velocity[:, self.image_motion.flow] -= image_counts * self.speeds(np.array([time]))[0]
-        return shifted, shifted_velocity
+        box = self.at(time)
+        shifted, image_counts = box._shifted(points, box._counts_from_low)
+        return shifted, box._velocity_of_images(points, shifted, image_counts, velocity, time)
 
     def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
         """Periodic images (n, 3) [m] of points nearest to the reference points (n, 3), row by row."""
+        return self._nearest(points, references)[0]
+
+    def _nearest(self, points: np.ndarray, references: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self._shifted(
             points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
-        )[0]
+        )
+
+    def nearest_images_with_velocity(
+        self, points: np.ndarray, velocity: np.ndarray, references: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Images of `nearest_images`, and their velocities (n, 3) [m/s] at a time [s], which include the
+        motion of the images; `velocity` (n, 3): of the points."""
+        box = self.at(time)
+        images, image_counts = box._nearest(points, references)
+        return images, box._velocity_of_images(points, images, image_counts, velocity, time)
+
+    def _velocity_of_images(
+        self,
+        points: np.ndarray,
+        images: np.ndarray,
+        image_counts: np.ndarray,
+        velocity: np.ndarray,
+        time: float,
+    ) -> np.ndarray:
+        """Velocities (n, 3) [m/s] of the images of points; `image_counts` (n,): as of `_shifted`."""
+        if self.width_velocity is not None:
+            return np.asarray(velocity - np.round((points - images) / self.width) * self.width_velocity)
+        if self.image_motion is None:
+            return velocity
+        shifted_velocity = np.array(velocity)
+        shifted_velocity[:, self.image_motion.flow] -= image_counts * self.speeds(np.array([time]))[0]
+        return shifted_velocity
 
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centers (m, 3) and radii (m,) [m] of spheres, and of their images across periodic faces."""

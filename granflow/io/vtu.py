@@ -36,7 +36,7 @@ class VtuMesh:
     point_data:  arrays (n,) or (n, components) by name
     cell_data:   by name, one array (k,) or (k, components) for each block
     units:       SI units of arrays by name; names without an array have no effect
-    numbers:     of the whole mesh, by name; only written
+    numbers:     of the whole mesh by name, as Int32 or Float64; only written
     """
 
     points: np.ndarray
@@ -44,7 +44,7 @@ class VtuMesh:
     point_data: Mapping[str, np.ndarray] = field(default_factory=dict)
     cell_data: Mapping[str, list[np.ndarray]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    numbers: Mapping[str, int] = field(default_factory=dict)
+    numbers: Mapping[str, int | float] = field(default_factory=dict)
 
     @classmethod
     def of_points(
@@ -91,7 +91,7 @@ def write_vtu(path: Path, mesh: VtuMesh, compression: Compression = "zlib") -> N
     """Write the mesh to a VTU file, atomically. Raises OSError."""
     import meshio
 
-    arrays = (*mesh.point_data, *mesh.cell_data)
+    arrays = (*mesh.point_data, *mesh.cell_data, *mesh.numbers)
     stated = {f"{name} [{mesh.units[name]}]": 1 for name in arrays if name in mesh.units}
     is_empty = not any(len(block.data) for block in mesh.cells)
     cells, cell_data = _empty_cell(mesh) if is_empty else (mesh.cells, mesh.cell_data)
@@ -131,7 +131,7 @@ def _attribute(text: str) -> str:
     return escape(text, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace").decode()
 
 
-def _add_field_data(path: Path, numbers: Mapping[str, int]) -> None:
+def _add_field_data(path: Path, numbers: Mapping[str, int | float]) -> None:
     """Insert numbers as field data. Units are in their names, `velocity [m/s]` with the number 1, because
     meshio reads no text.
 
@@ -141,8 +141,8 @@ def _add_field_data(path: Path, numbers: Mapping[str, int]) -> None:
     if not numbers:
         return
     arrays = (
-        f'<DataArray type="Int32" Name="{_attribute(name)}" NumberOfTuples="1" format="ascii">'
-        f"{number}</DataArray>\n"
+        f'<DataArray type="{"Float64" if isinstance(number, float) else "Int32"}" Name="{_attribute(name)}" '
+        f'NumberOfTuples="1" format="ascii">{number}</DataArray>\n'
         for name, number in numbers.items()
     )
     with open(path, "r+b") as file:

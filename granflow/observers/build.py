@@ -10,6 +10,7 @@ from granflow.arguments import path_of, refuse_other, shown
 from granflow.errors import GranflowError
 from granflow.fields import FIELD_QUANTITIES
 from granflow.geometry.coarse_grid import GaussianKernel
+from granflow.geometry.periodic_box import AXES
 from granflow.io.files import BackgroundWriter
 from granflow.io.tables import write_table
 from granflow.load import Scene
@@ -65,6 +66,9 @@ def observers_for(
                 reach=_max_coordinate(plan),
                 engine=rank_engine if output.frames_per_rank else None,
                 compression=output.compression,
+                totals=[f"box_width_{AXES[k]}" for k in plan.periodic_box.axes]
+                if plan.features.deforming_box
+                else (),
             )
         )
     if out_dir is not None and output.contacts:

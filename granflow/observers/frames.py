@@ -17,6 +17,7 @@ from granflow.fields import (
     CONTACT_QUANTITIES,
     FIELD_QUANTITIES,
     PARTICLE_QUANTITIES,
+    TOTAL_QUANTITIES,
     WALL_ARRAY_QUANTITIES,
     WEAR_ARRAYS,
     units,
@@ -36,7 +37,7 @@ from granflow.observers.coarse_graining import (
 )
 from granflow.observers.observer import ScheduledObserver
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
-from granflow.snapshot import CONTACTS, PARTICLES, WALLS, Snapshot
+from granflow.snapshot import CONTACTS, PARTICLES, TOTALS, WALLS, Snapshot
 
 if TYPE_CHECKING:
     from granflow.engine.engine import Engine
@@ -114,6 +115,7 @@ class ParticleFrames(Frames):
              resolve POSITION_TOLERANCE; None: the positions of each frame determine it
     engine:  of MPI ranks, of which each writes its particles into a file of its own; a frame is then
              `particles_NNNN.pvtu`, and requires no snapshot of the particles. None: one file
+    totals:  names of totals that are written as field data, such as the widths of a deforming box
     """
 
     stem = "particles"
@@ -127,11 +129,13 @@ class ParticleFrames(Frames):
         reach: float | None = None,
         engine: "Engine | None" = None,
         compression: Compression = "zlib",
+        totals: Sequence[str] = (),
     ) -> None:
         super().__init__(directory, interval, start, writer, compression)
         self._reach = reach
         self._engine = engine
-        self.wants = frozenset({PARTICLES} if engine is None else ())
+        self._totals = totals
+        self.wants = frozenset({PARTICLES} if engine is None else ()) | ({TOTALS} if totals else set())
 
     def write(self, snapshot: Snapshot) -> None:
         """Write one frame."""
@@ -150,7 +154,10 @@ class ParticleFrames(Frames):
         position = snapshot.particles["position"]
         radius = snapshot.particles["radius"]
         reach = self._reach if self._reach is not None else np.abs(position).max(initial=0.0)
-        return particle_mesh(snapshot.particles, reach, radius.min(initial=np.inf))
+        mesh = particle_mesh(snapshot.particles, reach, radius.min(initial=np.inf))
+        numbers = {name: snapshot.totals[name] for name in self._totals}
+        stated = {name: TOTAL_QUANTITIES[name].unit for name in self._totals}
+        return replace(mesh, numbers=numbers, units={**mesh.units, **stated})
 
 
 def particle_mesh(particles: Mapping[str, np.ndarray], reach: float, radius_min: float) -> VtuMesh:

@@ -22,6 +22,7 @@ from granflow.plan.overlaps import (
     HARDEST,
     mean_volume,
     overlap_forecasts,
+    packing_stiffness,
     pressure_words,
     region_findings,
     region_of,
@@ -64,6 +65,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         fixed_findings(plan),
         wear_findings(plan),
         gap_findings(plan),
+        gain_findings(plan),
     )
     sentences = [f"{_key_and_place(scene, *path)}{rest}" for path, rest in findings]
     for name, group in scene.particles.items():
@@ -74,6 +76,31 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
 def _key_and_place(scene: Scene, *path: str | int) -> str:
     """A key and its place in the scene file."""
     return f"{'.'.join(map(str, path))} ({scene.where(*path)})"
+
+
+def gain_findings(plan: Plan) -> Iterator[Finding]:
+    """Given gains of a deforming box at which the pressure does not converge to its target.
+
+        P(t + dt) - P0 = (1 - K g dt) (P(t) - P0),      |1 - K g dt| < 1  for  g < 2 / (K dt)
+
+    with the stiffness K of the packing at the target. Above, the rate alternates between +- max_rate, and the
+    pressure by K max_rate dt.
+    """
+    for path, each in plan.scene.deformations():
+        targets = [axis.pressure for axis in each.by_axis.values() if axis.pressure is not None]
+        if each.gain is None or each.max_rate is None or max(targets, default=0.0) <= 0.0:
+            continue
+        stiffness = packing_stiffness(plan, max(targets), len(targets))
+        dt = plan.step.value
+        if stiffness > 0.0 and each.gain * stiffness * dt > 2.0:
+            amplitude = stiffness * each.max_rate * dt
+            yield (
+                (*path, "gain"),
+                f" is {each.gain:g} 1/(Pa s), above the stability limit of about "
+                f"{2.0 / (stiffness * dt):.2g} 1/(Pa s) of this packing at the time step {dt:.3g} s: the "
+                f"pressure alternates by up to {pressure_words(amplitude)} in each step. Lower gain, or omit "
+                "it.",
+            )
 
 
 def fixed_findings(plan: Plan) -> Iterator[Finding]:

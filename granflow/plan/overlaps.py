@@ -302,7 +302,36 @@ FORCE_DECAY = 1.5
 """
 SAMPLED_DIAMETERS = 1000
 """Number of diameters of which the mean mass of a group is computed; lists have one diameter per particle."""
-PressureKind = Literal["weight", "wall"]
+
+
+def mean_force(pressure: float, diameter: float) -> float:
+    """Mean normal force [N] in a packing of equal spheres under a pressure [Pa].
+
+    F = pi d^2 p / (phi Z)      (H. Rumpf, Chem. Ing. Tech. 42 (1970) 538)
+    """
+    return pi * diameter**2 * pressure / (SOLID_FRACTION * COORDINATION)
+
+
+def packing_stiffness(plan: Plan, pressure: float, axes: int) -> float:
+    """Change of the pressure [Pa] along an axis over the strain of a packing under a pressure [Pa], if the
+    strains of `axes` of the three axes are equal and the others 0; 0 without contacts.
+
+        K = phi Z k / (pi R) (2 + axes) / 10        k = dF/d(overlap) at the mean force F
+
+    All contacts follow the strain, in all directions alike: with central forces, C11 = 3 C12 = 0.3 phi Z k /
+    (pi R) (K. Walton, J. Mech. Phys. Solids 35 (1987) 213). Real packings are softer, with friction stiffer.
+    """
+    found = [0.0]
+    for pair in touching_pairs(plan):
+        force = mean_force(pressure, 2.0 * pair.overlap_radius)
+        low, high = (static_overlap(plan.laws, pair, share * force) for share in (0.99, 1.01))
+        if low < high:
+            found.append(0.02 * force / ((high - low) * pair.overlap_radius) / pair.overlap_radius)
+    return SOLID_FRACTION * COORDINATION / pi * 0.1 * (2.0 + axes) * max(found)
+
+
+PressureKind = Literal["weight", "wall", "box"]
+_OF_PRESSURE = {"weight": "the weight", "wall": "a wall", "box": "the box"}
 
 
 @dataclass(frozen=True)
@@ -317,13 +346,11 @@ class BedPressure:
     def largest_force(self, diameter: float) -> float:
         """Largest contact force [N] of spheres with a diameter [m].
 
-            F = f pi d^2 p / (phi Z),      f = ln(2 N) / beta
+            F = f F_mean,      f = ln(2 N) / beta
 
-        The mean normal force in a packing of equal spheres under a pressure p is pi d^2 p / (phi Z) (H.
-        Rumpf, Chem. Ing. Tech. 42 (1970) 538). Of N forces with the tail exp(-beta f), the largest is about
-        ln(2 N) / beta times the mean.
+        Of N forces with the tail exp(-beta f), the largest is about ln(2 N) / beta times the mean.
         """
-        mean = pi * diameter**2 * self.pressure / (SOLID_FRACTION * COORDINATION)
+        mean = mean_force(self.pressure, diameter)
         return max(log(2.0 * self.contact_count) / FORCE_DECAY, 1.0) * mean
 
     def force_on(self, pair: PairCase) -> float:
@@ -332,7 +359,8 @@ class BedPressure:
 
 
 def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
-    """The pressures of a scene: the weight of its particles, and each wall that presses on them."""
+    """The pressures of a scene: the weight of its particles, each wall that presses on them, and the largest
+    target pressure of a deforming box."""
     diameter = 2.0 * plan.radius_max
     count = sum(group.count for group in plan.scene.particles.values() if not group.fixed)
     weight, area = weight_pressure(plan.scene)
@@ -349,6 +377,14 @@ def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
                 f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
             )
             yield BedPressure("wall", cause, pressure, 3.0 * count)
+    targets = [
+        (axis.pressure or 0.0, ".".join(map(str, path)))
+        for path, deformation in plan.scene.deformations()
+        for axis in deformation.by_axis.values()
+    ]
+    pressure, key = max(targets, key=lambda each: each[0], default=(0.0, ""))
+    if pressure > 0.0 and count > 1:
+        yield BedPressure("box", f"the {pressure_words(pressure)} of {key}", pressure, 3.0 * count)
 
 
 def weight_pressure(scene: Scene) -> tuple[float, float]:
@@ -536,7 +572,7 @@ def _forecast(
     limit = scene.numerics.intended_overlap
     largest, pair = max(found, key=lambda each: each[0])
     amount = f"{largest:.3g} of the radius" if largest < 1.0 else "more than the radius"
-    if cause in ("weight", "wall") and largest < 1.0:
+    if cause in _OF_PRESSURE and largest < 1.0:
         amount = f"up to {amount}"
     warning = None
     if largest > limit:
@@ -627,7 +663,7 @@ def overlap_forecasts(plan: Plan, velocity: ImpactVelocity) -> Iterator[Forecast
         is_drawn = cohesive is not None and cohesive.warning is not None
         found.append(cohesive)
     for load in bed_pressures(plan):
-        name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
+        name = f"overlap under {_OF_PRESSURE[load.kind]}"
         words = (f" under {load.cause}", f"under {load.cause} contacts overlap by")
         loaded = partial(_loaded_overlap, laws, load.force_on)
         each = _forecast(plan, name, load.kind, pairs, loaded, words, force=load.force_on)

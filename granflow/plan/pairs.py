@@ -60,7 +60,23 @@ def build_laws(
     found = ContactLaws(tuple(laws))
     if found.damped_slots and not found.normal.has_dashpot():
         _refuse_dashpot(scene, found.damped_slots[0])
+    if not found.attracts:
+        _refuse_tension(scene)
     return found
+
+
+def _refuse_tension(scene: Scene) -> None:
+    """Raise SceneError for a negative target pressure of a deforming box: contacts that do not attract never
+    reach it."""
+    for path, deformation in scene.deformations():
+        for axis, each in deformation.by_axis.items():
+            if each.pressure is not None and each.pressure < 0.0:
+                key = (*path, axis, "pressure")
+                raise SceneError(
+                    f"{scene.locate(*key)}: {'.'.join(map(str, key))} is {each.pressure:g} Pa, but "
+                    f"{scene.contact.name('normal')} contacts without contact.cohesion do not pull; give a "
+                    "pressure of at least 0 Pa, or a cohesion model."
+                )
 
 
 def _refuse_dashpot(scene: Scene, slot: str) -> None:

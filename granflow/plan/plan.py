@@ -100,8 +100,9 @@ def parameter_count(forces: Sequence[ExternalForce]) -> int:
 
 # One forecast of a plan.
 
-Cause = Literal["impact", "weight", "wall", "cohesion"]
-"""Causes of overlaps: an impact, the weight of the bed, a wall that presses on the bed, an attraction."""
+Cause = Literal["impact", "weight", "wall", "box", "cohesion"]
+"""Causes of overlaps: an impact, the weight of the bed, a wall or a box that presses on the bed, an
+attraction."""
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ class RunState:
         if stage.set_:
             _warn_of_no_particles(stage, "set", engine.apply_settings(stage.name), engine)
             engine.refresh()
-        progress.servos.begin(engine, stage.longest)
+        progress.controls.begin(engine, stage.longest)
         progress.conditions.begin(stage, engine.time)
 
     def change_walls(self, plan: Plan) -> None:

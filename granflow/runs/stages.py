@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.deformation import box_pressures, target_pressures
 from granflow.engine.engine import Engine, RestState
 from granflow.engine.wall_dynamics import controlled_forces
 from granflow.errors import GranflowError
+from granflow.geometry.periodic_box import AXES
 from granflow.load import Scene
 from granflow.observers.timeseries import Row
 from granflow.plan.plan import Plan
@@ -23,26 +25,28 @@ from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.run import Stage, StageCondition
 
-# Warnings of servo walls that are off their target force when a stage ends.
+# Warnings of servo walls and deforming boxes that are off their target when a stage ends.
 
 SAMPLES_PER_STAGE = 100
-"""Number of force samples over the maximum duration of a stage."""
+"""Number of samples over the maximum duration of a stage."""
 KEPT = 20
 """Number of last samples in the mean: the last fifth of a stage without an earlier end."""
 STANDARD_ERRORS = 3.0
 """Scatter of a mean that is tolerated, in its standard errors: 0.3 % of normally distributed means exceed
 it."""
-FORCE_TOLERANCE = 0.05
+TOLERANCE = 0.05
 """Deviation over the target tolerated without scatter: Hertz overlaps are then 1 - 0.95^(2/3) = 3.4 % too
 small."""
 
 
 @dataclass
-class ServoForces:
-    """Forces of the controlled motions in the current stage, for the check of the servos at its end.
+class ControlSamples:
+    """Forces of the controlled motions and pressures of a deforming box in the current stage, for the check
+    of servos and target pressures at its end.
 
-    next_sample:  time [s] of the next sample; infinite without servos
-    samples:      the last KEPT samples, each with the force [N] of every controlled motion on the particles
+    next_sample:  time [s] of the next sample; infinite without servos and target pressures
+    samples:      the last KEPT samples, each with the force [N] of every controlled motion on the particles,
+                  and in a deforming box the pressure [Pa] along each axis
     """
 
     next_sample: float = inf
@@ -50,20 +54,26 @@ class ServoForces:
 
     def begin(self, engine: Engine, longest: float) -> None:
         """Begin a stage that lasts up to `longest` [s]."""
-        has_servo = any(motion.spec.follows_force for motion in engine.plan.controlled_motions)
+        has_target = any(motion.spec.follows_force for motion in engine.plan.controlled_motions)
+        has_target = has_target or bool(target_pressures(engine.state))
         self.samples = []
-        self.next_sample = engine.time + longest / SAMPLES_PER_STAGE if has_servo else inf
+        self.next_sample = engine.time + longest / SAMPLES_PER_STAGE if has_target else inf
 
     def sample_if_due(self, engine: Engine, longest: float) -> None:
         """Add a sample if its time is reached."""
         if engine.reached(self.next_sample):
             self.next_sample += longest / SAMPLES_PER_STAGE
-            self.samples = [*self.samples, controlled_forces(engine.state).tolist()][-KEPT:]
+            sample = [*controlled_forces(engine.state).tolist(), *box_pressures(engine.state).tolist()]
+            self.samples = [*self.samples, sample][-KEPT:]
 
     def warn_at_end(self, engine: Engine, stage: str) -> None:
-        """Log a warning for each servo that is active and off its target at the end of the stage."""
+        """Log a warning for each servo that is active and off its target at the end of the stage, and one for
+        a box that is off its target pressures."""
         if self.next_sample < inf:
-            for sentence in off_target(engine, stage, self.samples):
+            for sentence in (
+                *off_target(engine, stage, self.samples),
+                *box_off_target(engine, stage, self.samples),
+            ):
                 logging.getLogger("granflow").warning("%s", sentence)
 
     def state_dict(self) -> dict[str, Any]:
@@ -76,15 +86,25 @@ class ServoForces:
         self.samples = [list(sample) for sample in saved["samples"]]
 
 
-def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
-    """A sentence for each servo that is active in the last step and off its target force F.
+def is_off_target(target: float, reached: float, series: np.ndarray) -> bool:
+    """Whether a controlled force or pressure is off its target F.
 
         |f - F| > tolerance  and  |<f> - F| > tolerance,     tolerance = max(0.05 |F|, 3 s / sqrt(n))
 
-    f: force at the end, <f> and s: mean and standard deviation of the last n samples. The second condition
-    ignores servos whose force fluctuates about the target, the first one those that reached it late in the
+    reached:  f, at the end
+    series:   last samples (n,), with the mean <f> and the standard deviation s; without one, f counts
+
+    The second condition ignores what fluctuates about the target, the first one what reached it late in the
     stage.
     """
+    values = series if len(series) else np.array([reached])
+    scatter = float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+    tolerance = max(TOLERANCE * abs(target), STANDARD_ERRORS * scatter)
+    return bool(min(abs(reached - target), abs(values.mean() - target)) > tolerance)
+
+
+def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
+    """A sentence for each servo that is active in the last step and off its target force."""
     present = engine.state.walls.present
     forces = controlled_forces(engine.state)
     middle = np.array([engine.time - 0.5 * engine.time_step])
@@ -92,12 +112,37 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
         running = engine.state.wall_motions[motion.wall][motion.motion].is_running(middle)[0]
         if not motion.spec.follows_force or not (running and present[motion.wall]):
             continue
-        series = np.array([sample[index] for sample in samples] or [forces[index]])
-        scatter = float(series.std(ddof=1)) / np.sqrt(len(series)) if len(series) > 1 else 0.0
-        tolerance = max(FORCE_TOLERANCE * abs(motion.force), STANDARD_ERRORS * scatter)
-        if min(abs(forces[index] - motion.force), abs(series.mean() - motion.force)) > tolerance:
+        series = np.array([sample[index] for sample in samples])
+        if is_off_target(motion.force, forces[index], series):
             area = engine.plan.walls[motion.wall].area
             yield _sentence(motion, stage, engine.time, float(forces[index]), not series.any(), area)
+
+
+def box_off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
+    """A sentence on the axes of a deforming box whose pressure is off the target at the end of a stage."""
+    targets = target_pressures(engine.state)
+    pressures = box_pressures(engine.state)
+    series = np.array([sample[-len(AXES) :] for sample in samples])
+    off = [k for k, target in targets.items() if is_off_target(target, pressures[k], series[:, k])]
+    if not off:
+        return
+    scene = engine.plan.scene
+    acting = scene.deformation_in(stage)
+    assert acting is not None
+    path, control = acting
+    gain = engine.plan.gain_of(control)
+    reached = ", ".join(f"{AXES[k]}: {pressures[k]:.3g} Pa instead of {targets[k]:.3g} Pa" for k in off)
+    rate = max(gain * abs(pressures[k] - targets[k]) for k in off)
+    largest = control.max_rate or 0.0
+    if rate > largest:
+        state, remedy = f"it deforms at max_rate, {largest:.3g} 1/s", "a higher max_rate"
+    else:
+        state, remedy = f"it deforms at up to {rate:.3g} 1/s, gain times the deviation", "a higher gain"
+    yield (
+        f"{'.'.join(map(str, path))} ({scene.where(*path)}): at the end of stage {stage} "
+        f"({engine.time:.6g} s), the pressure of the box is off its target along {reached}; {state}. Give it "
+        f"more time or {remedy}, or approach the target by a strain_rate in a stage before."
+    )
 
 
 def _sentence(
@@ -280,7 +325,7 @@ class StageProgress:
     target:       time [s] to which the current steps lead, None between targets
     arrived:      whether insertion and wall changes at the target are done, so that only observers are
                   pending
-    servos:       force samples of the servos, checked at the end of the stage
+    controls:     samples of servos and target pressures, checked at the end of the stage
     conditions:   conditions that end the stage
     """
 
@@ -290,7 +335,7 @@ class StageProgress:
     next_check: float = inf
     target: float | None = None
     arrived: bool = False
-    servos: ServoForces = field(default_factory=ServoForces)
+    controls: ControlSamples = field(default_factory=ControlSamples)
     conditions: StageConditions = field(default_factory=StageConditions)
 
     @classmethod
@@ -367,7 +412,7 @@ class StageProgress:
             "target": self.target,
             "arrived": self.arrived,
             "changes": list(self.changes),
-            "servos": self.servos.state_dict(),
+            "controls": self.controls.state_dict(),
             "conditions": self.conditions.state_dict(),
         }
 
@@ -383,7 +428,7 @@ class StageProgress:
         self.stage = saved["stage"]
         self.next_check = saved["next_check"]
         self.changes = tuple(saved["changes"])
-        self.servos.load_state_dict(saved["servos"])
+        self.controls.load_state_dict(saved["controls"])
         present = next(stage for stage in stages if stage.name == self.stage)
         self.conditions.load_state_dict(saved["conditions"], present, same_course)
         self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}

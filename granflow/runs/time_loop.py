@@ -114,14 +114,14 @@ class TimeLoop:
             if progress.target is None and self.engine.reached(min(progress.end_of(stage), end)):
                 break
             self._advance_to_event(end)
-            progress.servos.sample_if_due(self.engine, stage.longest)
+            progress.controls.sample_if_due(self.engine, stage.longest)
             at_rest = progress.ends_at_rest(stage, self.engine, self.state.insertion.is_done)
         if not at_rest:
             if progress.conditions.met is None and not self.engine.reached(progress.end_of(stage)):
                 return
             progress.conditions.log_end(self.engine.plan.scene, stage, self.engine.time)
             warn_without_rest(stage, self.engine, self.state.insertion.is_done)
-        progress.servos.warn_at_end(self.engine, stage.name)
+        progress.controls.warn_at_end(self.engine, stage.name)
         progress.end(self.engine.time)
 
     def _advance_to_event(self, end: float) -> None:
@@ -146,7 +146,7 @@ class TimeLoop:
         """Number of steps until the host has something to do; 0 if an event is reached.
 
         1. The target is the time of the next event: an observation, an insertion or a wall change; in a stage
-           that has not ended also its end, a check for rest, and a force sample of its servos; at the latest
+           that has not ended also its end, a check for rest, and a sample of its controls; at the latest
            `end` [s]. It is at least one step ahead, so that the run always advances. It remains until its
            event is handled, and checkpoints contain it: a resumed run takes the same steps.
         2. A scheduled checkpoint, or the next update of an adaptive time step, can precede the target.
@@ -158,7 +158,7 @@ class TimeLoop:
             times = [end, self.state.observers.next_time(), self.state.insertion.next_time()]
             times += [time for time in progress.changes if not engine.reached(time)]
             if not progress.has_ended(progress.stage):
-                times += [progress.end_of(self._stage), progress.servos.next_sample]
+                times += [progress.end_of(self._stage), progress.controls.next_sample]
                 if self._stage.kinetic_energy_below is not None:
                     times.append(progress.next_check)
             progress.set_target(max(min(times), engine.time + engine.time_step))

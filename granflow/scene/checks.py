@@ -7,7 +7,7 @@ cause consequential messages. Checks within one block are `Model.faults` of its 
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import combinations_with_replacement, product
 from typing import Annotated, Any, get_args, get_origin
 
@@ -34,6 +34,7 @@ from granflow.fields import (
 from granflow.geometry.periodic_box import AXES
 from granflow.scene.blocks.contact import Contact, LawSettings
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.gravity import bound_of
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.motions import MotionSpec
@@ -605,8 +606,14 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
         yield whole(("domain", "lees_edwards"), reason)
 
 
+def _component(axis: str, gravity: Sequence[float]) -> float:
+    """Magnitude of a component of gravity [m/s2]."""
+    return abs(float(gravity[AXES.index(axis)]))
+
+
 def deformation(parts: PartialScene) -> Iterator[Fault]:
-    """A deforming box has periodic axes, and spheres alone: all else would have to move with it.
+    """A deforming box has periodic axes, and spheres alone: all else would have to move with it. No gravity
+    acts along an axis that deforms, because nothing carries the weight.
 
     One fault names all features of the scene that are not supported.
     """
@@ -620,6 +627,12 @@ def deformation(parts: PartialScene) -> Iterator[Fault]:
                 yield whole((*path, axis), f"{reason}; add {axis} there")
     if not given:
         return
+    deforming = sorted({axis for _, each in given for axis in each.by_axis})
+    for path, gravity in scene.given_gravities():
+        along = [axis for axis in deforming if bound_of(gravity, partial(_component, axis), 1.0) > 0.0]
+        if along:
+            reason = f"acts along {', '.join(along)}, along which the periodic box deforms"
+            yield whole(path, f"{reason}, and no wall carries the weight; write [0, 0, 0]")
     groups = scene.particles.items()
     unsupported = {
         "walls": list(scene.walls),
@@ -1064,7 +1077,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     ((), some_particles),
     (("domain",), inside_domain),
     (("domain", "particles", "output"), lees_edwards),
-    (("domain", "particles", "output", "stages"), deformation),
+    (("domain", "gravity", "particles", "output", "stages"), deformation),
     (("domain", "run", "output"), unsupported_shapes),
     (("contact",), liquid_content),
     (("contact", "pairs", "stages"), equation_values),

@@ -1,11 +1,17 @@
 """Deforming boxes: affine motion, Hertzian lattices under pressure, and the place of the boundary."""
 
+import xml.etree.ElementTree as ElementTree
+
 import numpy as np
 import pytest
 from scene_builders import SOFT, build_scene, particle_group, run_to_end
 
-from granflow.errors import GranflowError, RunError
+from granflow.errors import GranflowError, RunError, SceneError
+from granflow.load import Scene
 from granflow.parallel.refusals import refuse_on_ranks
+from granflow.plan.build import plan_for
+from granflow.runs.read_run import read_run
+from granflow.simulation import Simulation
 
 AXES = "xyz"
 SIDE = 0.03
@@ -89,6 +95,85 @@ def test_cubic_lattice_has_hertzian_pressures_and_reaches_targets(taichi_f64):
     assert moving < 1e-3 * stored
     assert last.totals["box_pressure"] == pytest.approx(3e3, rel=1e-3)
     assert last.totals["stress_ratio"] == pytest.approx(np.sqrt(3.0) / 3.0, rel=1e-3)  # q = sqrt(3) kPa
+
+
+CONTROL = {axis: {"pressure": 4e3} for axis in AXES} | {"max_rate": 2.0}
+
+
+def approach(control, until):
+    """A lattice near its target pressures at the end of a compression, and the control from then on."""
+    rates = {axis: {"strain_rate": -0.9} for axis in AXES}
+    control = {"name": "control", "duration": until - 0.003, "deformation": control}
+    return deformed(
+        lattice(), rates, stages=[{"name": "rates", "duration": 0.003, "deformation": rates}, control]
+    )
+
+
+@pytest.mark.parametrize("share", [0.8, 1.3])
+def test_pressure_alternates_above_the_stability_limit_of_the_gain(taichi_f64, share):
+    """P - P0 shrinks by 1 - K g dt in a step, with K = dF/d(overlap) / a of a cubic lattice of the width a. Above
+    the limit 2 / (K dt), the strain of each step is max_rate dt. A warning names an estimate of the limit."""
+    overlap = (4e3 * 0.01**2 / STIFFNESS) ** (2 / 3)
+    stiffness = 1.5 * STIFFNESS * overlap**0.5 / 0.01
+    limit = 2.0 / (stiffness * 4e-6)
+    scene = approach(CONTROL | {"gain": share * limit}, 0.012)
+    with Simulation(scene) as simulation:
+        simulation.run(until=0.012 - 4e-6)
+        before = of_axes(simulation.snapshot(), "box_pressure")
+        simulation.step(1)
+        last = of_axes(simulation.snapshot(), "box_pressure")
+    if share < 1.0:
+        np.testing.assert_allclose([before, last], 4e3, rtol=1e-6)
+    else:
+        np.testing.assert_allclose(np.abs(last - before), stiffness * 2.0 * 4e-6, rtol=0.01)
+    warnings = [each.warning for each in plan_for(scene).forecasts if "gain" in (each.warning or "")]
+    assert len(warnings) == (share > 1.0)
+    if warnings:
+        named = float(warnings[0].split("limit of about ")[1].split(" ")[0])
+        assert named == pytest.approx(limit, rel=0.15)
+
+
+def test_pressures_off_their_targets_are_a_warning_and_frames_have_the_widths(taichi_f64, tmp_path):
+    """With a small gain, the rate is gain times the deviation; the run resumes with its samples."""
+    scene = approach(CONTROL | {"z": {"strain_rate": 0.0}, "gain": 1e-5}, 0.005)
+    with Simulation(scene, out=tmp_path / "run") as simulation:
+        simulation.run()
+        last = simulation.snapshot()
+    (sentence,) = [each for each in read_run(tmp_path / "run").result.warnings if "off its target" in each]
+    assert sentence.startswith("stages.1.deformation") and "at the end of stage control (0.005 s)" in sentence
+    along = sentence.split("off its target along ")[1].split("; ")[0]
+    reached = of_axes(last, "box_pressure")
+    assert along == ", ".join(f"{AXES[k]}: {reached[k]:.3g} Pa instead of 4e+03 Pa" for k in (0, 1))
+    assert f"at up to {1e-5 * (reached[0] - 4e3):.3g} 1/s, gain times the deviation" in sentence
+    frame = sorted((tmp_path / "run").glob("particles_*.vtu"))[-1]
+    arrays = {each.get("Name"): each for each in ElementTree.parse(frame).getroot().iter("DataArray")}
+    found = [float(arrays[f"box_width_{axis}"].text) for axis in AXES]
+    np.testing.assert_array_equal(found, of_axes(last, "box_width"))
+    assert "box_width_x [m]" in arrays and arrays["box_width_x"].get("type") == "Float64"
+
+
+def test_tension_requires_contacts_that_pull():
+    """A negative target is refused for Hertz contacts, not with cohesion."""
+    scene = deformed(lattice(), {"x": {"pressure": -100.0}, "max_rate": 1.0})
+    with pytest.raises(SceneError, match=r"domain\.deformation\.x\.pressure is -100 Pa, but hertz contacts"):
+        plan_for(scene)
+    given = scene.to_dict()
+    given["contact"]["cohesion"] = "sjkr"
+    given["pairs"]["glass-glass"]["cohesion_energy_density"] = 1e4
+    assert plan_for(Scene.from_dict(given)).laws.attracts
+
+
+def test_overlap_of_a_compressed_box_names_the_box(taichi_f64):
+    """No text on walls and weight: a box without walls is compressed beyond the overlap limit."""
+    given = deformed(lattice(), {axis: {"strain_rate": -10.0} for axis in AXES}, duration=0.02).to_dict()
+    given["numerics"]["max_overlap"] = 0.1
+    with pytest.raises(RunError) as error:
+        run_to_end(Scene.from_dict(given))
+    message = str(error.value)
+    approach = float(message.split("They approach at ")[1].split(" ")[0])  # also of the pairs across a face
+    assert approach == pytest.approx(10.0 * (0.01 - 0.1 * 0.005), rel=5e-3)
+    assert "the deforming box presses the particles together: end the compression" in message
+    assert "wall" not in message and "weight" not in message
 
 
 def test_result_does_not_depend_on_the_position_of_the_boundary(taichi_f64):

@@ -1,7 +1,9 @@
 """What depends on the precision, and the limits on the code path of a GPU: one process for each of them."""
 
+import numpy as np
 import pytest
 from clumps import clump_group
+from engine.test_deformation import STIFFNESS, deformed, lattice, of_axes
 from engine.test_stability_monitor import warnings_of
 from engine.test_travel import messages_about_the_limit
 from engine.test_wall_dynamics import PRESSURE, compression_scene
@@ -42,18 +44,30 @@ def pressure_of_a_servo():
         return simulation.run().numbers["wall_pressure.lid"]
 
 
+def pressures_of_a_box(precision):
+    """Pressures [Pa] of a compressed lattice, and those of Hertz at its widths."""
+    scene = deformed(lattice(), {axis: {"strain_rate": -1.0} for axis in "xyz"}, duration=0.004)
+    with Simulation(scene, precision=precision) as simulation:
+        simulation.run()
+        last = simulation.snapshot()
+    cell = of_axes(last, "box_width") / 3
+    expected = STIFFNESS * (0.01 - cell) ** 1.5 * cell / cell.prod()
+    return of_axes(last, "box_pressure").tolist(), expected.tolist()
+
+
 def mixed_precision():
     found = messages_about_the_limit("mixed", 80), kinds_of_warnings_at_rest("mixed")
-    return *found, drifting_rod(), pressure_of_a_servo()
+    return *found, drifting_rod(), pressure_of_a_servo(), pressures_of_a_box("mixed")
 
 
 def test_mixed_precision():
     """The rod moves by 2^-16 m per step, which f64 adds without error; f32 resolves 0.1 m to 7.5e-9 m."""
-    (below, above), warnings, (distance, time, rebuilds), pressure = in_subprocess(mixed_precision)
+    (below, above), warnings, (distance, time, rebuilds), pressure, box = in_subprocess(mixed_precision)
     assert below == "" and "moves 0.001 m in one step" in above
     assert warnings == [], "rounding of potential energies is no error"
     assert rebuilds > 10 and distance == pytest.approx(time, abs=1e-12)
     assert pressure == pytest.approx(PRESSURE, rel=0.01)
+    np.testing.assert_allclose(*box, rtol=1e-5)
 
 
 def flight(height):
@@ -76,11 +90,13 @@ def flight(height):
 def single_precision_and_gpu_code_path():
     found = kinds_of_warnings_at_rest("f32"), flight(8186.0), flight(8191.0)
     backend.Backend.on_cpu = property(lambda self: False)
-    return *found, messages_about_the_limit("f32", 1)
+    return *found, messages_about_the_limit("f32", 1), pressures_of_a_box("f32")
 
 
 def test_single_precision_and_the_code_path_of_a_gpu():
-    warnings, near, far, (below, above) = in_subprocess(single_precision_and_gpu_code_path)
+    """f32 resolves 0.03 m to 1.9e-9 m, of which an overlap of 40 um is a sum of two."""
+    warnings, near, far, (below, above), box = in_subprocess(single_precision_and_gpu_code_path)
+    np.testing.assert_allclose(*box, rtol=1.5 * 2.0 * 1.9e-9 / 4e-5)
     assert warnings == [] and near == "" and below == ""
     assert "moves 0.001 m in one step" in above
     assert (

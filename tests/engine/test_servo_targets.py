@@ -68,7 +68,7 @@ def test_servo_is_reported_if_it_still_approaches_its_target_also_by_a_resumed_r
     shutil.move(tmp_path / "run", tmp_path / "whole")
     shutil.copytree(tmp_path / "whole", tmp_path / "run")
     saved = read_checkpoint(sorted((tmp_path / "run").glob("checkpoint_*.npz"))[0])
-    assert saved.time > 0.0 and len(saved.saved["stage_progress"]["servos"]["samples"]) == 20
+    assert saved.time > 0.0 and len(saved.saved["stage_progress"]["controls"]["samples"]) == 20
     assert warned(scene, tmp_path, resume=saved) == whole
 
 

@@ -147,14 +147,19 @@ class SceneInput(Model):
     @property
     def gravities(self) -> tuple[AnyGravity, ...]:
         """Gravity of the scene, and that of each stage that has its own."""
-        return (self.gravity, *(each.gravity for each in self.stages if each.gravity is not None))
+        return tuple(gravity for _, gravity in self.given_gravities())
+
+    def given_gravities(self) -> Iterator[tuple[tuple[str | int, ...], AnyGravity]]:
+        """Gravity of the scene, and that of each stage that has its own, with the key path."""
+        yield ("gravity",), self.gravity
+        for number, each in enumerate(self.stages):
+            if each.gravity is not None:
+                yield ("stages", number, "gravity"), each.gravity
 
     def gravity_motions(self) -> Iterator[tuple[tuple[str | int, ...], TimedMotion]]:
         """Each motion of gravity, also of stages, with its key path."""
-        places: list[tuple[tuple[str | int, ...], AnyGravity | None]] = [(("gravity",), self.gravity)]
-        places += [(("stages", number, "gravity"), each.gravity) for number, each in enumerate(self.stages)]
-        for path, gravity in places:
-            for index, motion in enumerate(() if gravity is None else motions_of(gravity)):
+        for path, gravity in self.given_gravities():
+            for index, motion in enumerate(motions_of(gravity)):
                 yield (*path, "motion", index), motion
 
     @property
@@ -209,14 +214,11 @@ class SceneInput(Model):
             if stage.deformation is not None:
                 yield ("stages", number, "deformation"), stage.deformation
 
-    def deformation_in(self, name: str) -> Deformation | None:
-        """The deformation of the periodic box in a stage."""
-        acting = self.domain.deformation
-        for stage in self.stages:
-            acting = stage.deformation or acting
-            if stage.name == name:
-                break
-        return acting
+    def deformation_in(self, name: str) -> tuple[tuple[str | int, ...], Deformation] | None:
+        """The deformation of the periodic box in a stage, with its key path; None if no width has changed."""
+        last = next((number for number, stage in enumerate(self.stages) if stage.name == name), 0)
+        begun = [each for each in self.deformations() if each[0][0] == "domain" or int(each[0][1]) <= last]
+        return begun[-1] if begun else None
 
     @property
     def image_speed(self) -> float:
