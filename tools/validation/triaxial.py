@@ -31,8 +31,8 @@ from validation.peers.programs import version  # noqa: E402
 INPUT = Path(__file__).parent / "inputs" / "in.triaxial.lammps"
 FIGURES = Path(__file__).with_name("triaxial_lammps.json")
 """Version of LAMMPS, date, and the figures of its runs."""
-REPEATS = 4
-"""Numbers of the initial packings, seeds of the scene: 1 to 4."""
+REPEATS = 8
+"""Numbers of the initial packings, seeds of the scene: 1 to 8."""
 SIDE, DENSITY = 0.0102, 2500.0
 """Width of the box at the start [m], and density of the spheres [kg/m3]."""
 STEADY = (0.20, 0.35)
