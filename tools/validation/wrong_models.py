@@ -229,9 +229,20 @@ MODELS = (
      "attraction:bridge_cases"),
     ("capillary bridges, rupture distance", COHESION + "capillary.py", "return 1.0 + 0.5 * contact_angle",
      "return 1.1 * (1.0 + 0.5 * contact_angle)", "attraction:bridge_cases"),
+    ("viscous bridges, force", COHESION + "lubrication.py",
+     "stokes = 6.0 * math.pi * constants.viscosity * contact.radius_eff",
+     "stokes = 6.6 * math.pi * constants.viscosity * contact.radius_eff", "viscous_bridge:viscous_bridge_cases"),
     ("van_der_waals, attraction", COHESION + "van_der_waals.py",
      "attraction = constants.hamaker_constant * contact.radius_eff",
      "attraction = 1.1 * constants.hamaker_constant * contact.radius_eff", "attraction:van_der_waals_cases"),
+    ("archard, worn volume", "granflow/scene/blocks/wear.py",
+     "return load.normal_force * load.slip_speed\n\n        return archard",
+     "return 1.1 * load.normal_force * load.slip_speed\n\n        return archard", "equipment:wear_cases"),
+    ("finnie, worn volume", "granflow/scene/blocks/wear.py", "power = 2.0 * load.force * speed * share",
+     "power = 2.2 * load.force * speed * share", "equipment:wear_cases"),
+    ("deforming box, pressure", "granflow/engine/deformation.py",
+     "pressure = self._sum(self.fields.virial, chunks, axis)",
+     "pressure = 1.1 * self._sum(self.fields.virial, chunks, axis)", "deforming_box:deforming_box_cases"),
 )  # fmt: skip
 """Models changed by 10 %: what changes, file, text, erroneous text, family."""
 WRONG_MODELS = REVIEW + tuple(
