@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 EXIT_EXPECTATIONS_FAILED = 1
 """Exit code of a complete run with an expectation that is not satisfied."""
+LONG_RUN = 60.0
+"""Wall-clock time of steps [s] from which faster kernels outweigh a start that takes 1 to 2 s more."""
 
 # run
 
@@ -174,11 +176,21 @@ def run_to_end(
     except KeyboardInterrupt as stop:
         return print_error(stopped_where(simulation, out), exit_code_of(stop))
     show_result(scene, result, out)
+    say_of_faster_kernels(simulation, result)
     if until is not None and simulation.is_complete and simulation.time < until - simulation.time_step:
         say(f"The last stage ended at {simulation.time:.6g} s, before --until {until:.6g} s.")
     if scene.expect and not result.expectations:
         say(f"Expectations are not evaluated: --until ended the run at {simulation.time:.6g} s.")
     return 0 if all(met for _, met in result.expectations) else EXIT_EXPECTATIONS_FAILED
+
+
+def say_of_faster_kernels(simulation: "Simulation", result: "Result") -> None:
+    """Print that Quadrants is faster on this processor, after a run that is long against its start."""
+    from granflow.kernel_language import slower_than_quadrants
+
+    steps = sum(result.timings.get(phase, 0.0) for phase in ("neighbor_list", "forces", "integration"))
+    if steps > LONG_RUN and simulation.engine.state.backend.on_cpu and (sentence := slower_than_quadrants()):
+        say(sentence)
 
 
 @contextmanager

@@ -8,13 +8,16 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from granflow.kernel_language import KERNELS, family_in, processor_text
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, caches, memory, operating system, Python packages, commit and date."""
+    """Processor, kernel language, cores, caches, memory, operating system, packages, commit and date."""
     return {
-        "processor": _line("/proc/cpuinfo", "model name") or platform.processor() or platform.machine(),
+        "processor": _processor(),
+        "kernels": KERNELS,
         "instructions": "AVX-512"
         if "avx512f" in (_line("/proc/cpuinfo", "flags") or "")
         else platform.machine(),
@@ -28,6 +31,13 @@ def machine() -> dict[str, Any]:
         "changed": bool(_git("status", "--porcelain", "--untracked-files=no", "--", "granflow")),
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
     }
+
+
+def _processor() -> str:
+    """Name of the processor, on x86 with its family: the name of a virtual machine is the same for many."""
+    name = _line("/proc/cpuinfo", "model name") or platform.processor() or platform.machine()
+    family = family_in(processor_text())
+    return name if family is None else f"{name}, family {family[1]}"
 
 
 def last_level_cache() -> int | None:
