@@ -218,7 +218,10 @@ def _wall_keywords(fix: Fix, words: Words, wall: Primitive) -> None:
         elif key == "temperature":
             wall_temperature(words.deck, fix, words.plain("the temperature"))
         elif key == "contact_area":
-            words.word("the style of the area")
+            style = words.word("the style of the area")
+            if style != "overlap":
+                words.skip()
+                fix.entry.impossible(f"contact_area {style} of a wall", "contact_area overlap")
         else:
             fix.entry.impossible(f"the keyword {key} of a wall", "a mesh with a motion")
             words.skip()

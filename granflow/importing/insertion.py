@@ -88,8 +88,13 @@ def template_sphere(deck: Deck, fix: Fix) -> None:
             if number <= 0.0:
                 raise DeckError(fix.entry.command, f"the {key} is {number:g}; give a number above 0.")
             density, radius = (number, radius) if key == "density" else (density, number)
-        elif key in ("volume_limit", "relative"):
-            words.word(f"a value of {key}")
+        elif key == "volume_limit":
+            words.word("the smallest volume")
+        elif key == "relative":
+            if words.flag(key):
+                fix.entry.impossible(
+                    "a radius in percent of another one (relative)", "radius constant R in m"
+                )
         else:
             fix.entry.impossible(f"the keyword {key} of a template")
             words.skip()
@@ -279,7 +284,8 @@ def insertion(deck: Deck, fix: Fix) -> None:
             fix.entry.impossible(f"the initial property {words.word('a property')}")
             words.number("its value")
         elif key in IGNORED:
-            words.word(f"a value of {key}")
+            if words.word(f"a value of {key}") == "uncorrelated":
+                fix.entry.approximated("the numbers of particles of each size are exact, not random")
         else:
             remedy = suggestion_sentence(key, {*KEYWORDS, *IGNORED}, "keywords")
             raise DeckError(fix.entry.command, f"{fix.style} has no keyword {key}. {remedy}")

@@ -1292,7 +1292,7 @@ class Contacts:
         The dashpot pulls from the velocity e' v at which the force is zero (the restitution with limitForce)
         to the velocity e v at the end. Its impulse is m (e' - e) v, and friction is limited by mu |Fn|. An
         impact that slides throughout changes its tangential velocity by mu (1 + e) v in granflow, without
-        tension, and by mu (1 + e + 2 (e' - e)) v in the code.
+        tension, and by mu (1 + e + 2 (e' - e)) v in the code. Impacts that stick differ less.
         """
         for entry in {id(each[2]): each[2] for each in self.tensions}.values():
             share, key, _ = max(
@@ -1301,9 +1301,9 @@ class Contacts:
             if share > LEAST_TENSION:
                 entry.approximated(
                     "the dashpot of the code pulls at the end of a contact, with friction up to mu |Fn|; "
-                    "granflow cuts the tension: a sphere that slides during an impact on a wall loses "
-                    f"{share:.2g} of its normal velocity less along the wall, and the surface velocity of "
-                    f"its rotation is {2.5 * share:.2g} lower ({key})"
+                    "granflow cuts the tension: oblique impacts on a wall differ by up to about "
+                    f"{share:.2g} of their normal velocity along the wall, and by {2.5 * share:.2g} in the "
+                    f"surface velocity of the rotation ({key})"
                 )
 
     def _spread(self, model: Model, first: Sort, second: Sort | None, type: int) -> tuple[float, float]:

@@ -13,6 +13,8 @@ from granflow.importing.meshes import clean
 from granflow.importing.scene_text import quantities, quantity
 from granflow.scene.blocks.particle_shapes.clump import MOST_SPHERES
 
+_BODIES = "clumps move as rigid bodies"
+
 
 def template_multisphere(deck: Deck, fix: Fix) -> None:
     """fix ID group particletemplate/multisphere SEED atom_type N density constant D nspheres N ntry N
@@ -60,6 +62,13 @@ def template_multisphere(deck: Deck, fix: Fix) -> None:
         fix.entry.impossible(f"a body of {len(spheres)} spheres", f"at most {MOST_SPHERES} spheres")
         spheres = spheres[:MOST_SPHERES]
     fix.data = clump_template(type, density, spheres, fix)
+
+
+def multisphere(deck: Deck, fix: Fix) -> None:
+    """fix ID group multisphere [allow_group_and_set yes|no] [allow_heatsource yes|no] [CAddRhoFluid C RHO]"""
+    if "CAddRhoFluid" in fix.words:
+        fix.entry.impossible("the added mass of a fluid (CAddRhoFluid)", "clumps without a fluid")
+    fix.entry.not_needed(_BODIES)
 
 
 def clump_template(type: int, density: float, spheres: np.ndarray, fix: Fix) -> Template:
@@ -128,14 +137,12 @@ def _read_spheres(command: Command, path: Path) -> np.ndarray:
 
 # Tables
 
-_BODIES = "clumps move as rigid bodies"
-
 COMMANDS: dict[str, Translation] = {}
 FIXES: dict[str, Translation] = {
     "particletemplate/multisphere": Translation(
         template_multisphere, "particles.NAME.clump", f"at most {MOST_SPHERES} spheres; mass of their union"
     ),
-    "multisphere": not_needed(_BODIES),
+    "multisphere": Translation(multisphere, "not needed", _BODIES),
     "multisphere/nointegration": not_needed(_BODIES),
     "multisphere/break": impossible("bodies that break", "clumps that do not break"),
     **dict.fromkeys(("rigid/small", "rigid/nve/small", "rigid", "rigid/nve"), not_needed(_BODIES)),

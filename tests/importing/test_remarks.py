@@ -1,10 +1,13 @@
 """Scripts of which the scene has a part only: what the report says, for the line that the part belongs to."""
 
+import re
 from math import exp, log, pi, sqrt
 
+import numpy as np
 import pytest
 import yaml
 
+from granflow.contact.theory import damping_ratio_for
 from granflow.importing.convert import convert
 from granflow.importing.language import DeckError
 from granflow.importing.materials import free_restitution, tsuji
@@ -131,6 +134,10 @@ HOOKE = "pair_style gran/hooke/history 1e4 NULL 100 NULL 0 1\npair_coeff * *"
             "inserted particles are members of all;",
         ),
         ("liggghts", [("fix i all", "group late type 1\nfix i late")], "fix i late", "approximated", "does not move the inserted"),
+        ("liggghts", [("all_in yes", "random_distribute uncorrelated")], "fix ins", "approximated", "are exact, not random"),
+        ("liggghts", [("zplane 0.0", "zplane 0.0 contact_area constant 1e-6")], "fix w", "not possible", "contact_area constant"),
+        ("liggghts", [("radius constant", "relative yes radius constant")], "fix p1", "not possible", "in percent of another"),
+        ("liggghts", [("nve/sphere", "multisphere CAddRhoFluid 0.5 1000")], "fix i all", "not possible", "the added mass"),
         ("liggghts", [("insert/pack", "insert/pack/dense")], "fix ins", "not possible", "kind: pack"),
         (
             "liggghts",
@@ -243,3 +250,73 @@ def test_restitution_that_is_not_the_number_of_the_script(tmp_path):
     )
     _, sentence = remark(report(tmp_path, "liggghts"), "pair_style")
     assert "restitution of pairs" not in sentence  # it is the number of the script
+
+
+SLIP = np.array([0.1, 0.5, 1.0, 1.3, 1.6, 1.8, 2.0, 2.5, 3.0, 4.0, 6.0])
+"""Slip velocities of oblique impacts over the normal velocity."""
+
+
+def friction_impulse(zeta, tangential, mu, has_tension, step=5e-4):
+    """Friction impulses of oblique impacts of a sphere on a wall, by the law of LIGGGHTS (hertz, history).
+
+    Units: mass, normal velocity and Hertz stiffness 1; Poisson ratio 0.3. `zeta`: damping ratio of Tsuji's dashpot;
+    `tangential`: tangential over normal dashpot; without `has_tension` the normal force is at least 0.
+    """
+    ratio = 2 * 0.7 / 1.7  # 4 G* / E* = 2 (1 - nu) / (2 - nu)
+    overlap, rate = 0.0, 1.0
+    slip, impulse, displacement = SLIP.copy(), 0.0 * SLIP, 0.0 * SLIP
+    while (overlap := overlap + step * rate) > 0.0:
+        dashpot = sqrt(5.0) * zeta * overlap**0.25
+        normal = overlap**1.5 + dashpot * rate
+        if normal <= 0.0 and not has_tension:
+            break
+        rate -= step * normal
+        displacement += step * slip
+        spring = -1.5 * ratio * sqrt(overlap) * displacement
+        limit = mu * abs(normal)
+        is_sliding = np.abs(spring) > limit
+        spring = np.clip(spring, -limit, limit)
+        displacement = -spring / (1.5 * ratio * sqrt(overlap))
+        force = spring - np.where(is_sliding, 0.0, tangential * dashpot * slip)
+        impulse += step * force
+        slip = slip + 3.5 * step * force  # 1 + m R^2 / I
+    return impulse
+
+
+@pytest.mark.parametrize(("e", "mu"), [(0.6, 0.4), (0.5, 0.5)])
+def test_friction_while_the_dashpot_pulls(tmp_path, e, mu):
+    """The remark has the largest difference of oblique impacts, which both laws have with the same restitution."""
+    numbers = (
+        "coefficientRestitution peratomtypepair 2 0.6 0.6 0.6 0.6",
+        "coefficientRestitution peratomtypepair 2" + 4 * f" {e}",
+    )
+    friction = (
+        "coefficientFriction peratomtypepair 2 0.4 0.4 0.4 0.4",
+        "coefficientFriction peratomtypepair 2" + 4 * f" {mu}",
+    )
+    _, sentence = remark(report(tmp_path, "liggghts", numbers, friction), "pair_style")
+    said = [
+        float(each)
+        for each in re.search(r"by up to about (\S+) of .* by (\S+) in the surface", sentence).groups()
+    ]
+
+    beta, zeta = -log(e) / sqrt(pi**2 + log(e) ** 2), damping_ratio_for(e)
+    share = sqrt(2 * 0.7 / 1.7)
+    code = friction_impulse(beta, share, mu, has_tension=True)
+    scene = friction_impulse(zeta, share * beta / zeta, mu, has_tension=False)
+    largest = np.abs(code - scene).max()
+    assert said == pytest.approx([largest, 2.5 * largest], rel=0.12)
+
+
+def test_no_friction_of_a_dashpot_that_does_not_pull(tmp_path):
+    limited = ("tangential history\npair", "tangential history limitForce on\npair")
+    assert (
+        "the dashpot of the code pulls" not in remark(report(tmp_path, "liggghts", limited), "pair_style")[1]
+    )
+    slippery = (
+        "coefficientFriction peratomtypepair 2 0.4 0.4 0.4 0.4",
+        "coefficientFriction peratomtypepair 2 0 0 0 0",
+    )
+    assert (
+        "the dashpot of the code pulls" not in remark(report(tmp_path, "liggghts", slippery), "pair_style")[1]
+    )
