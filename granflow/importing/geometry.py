@@ -17,6 +17,7 @@ from granflow.importing.materials import (
     granular_model,
     liggghts_model,
     old_model,
+    option,
     wall_contact,
 )
 from granflow.importing.meshes import Mesh, measure, mesh_keys, surface_motions, wear_keys
@@ -165,7 +166,7 @@ def wall_gran(deck: Deck, fix: Fix) -> None:
     if style not in PLANES + CYLINDERS:
         shapes = ", ".join(PLANES + CYLINDERS)
         raise DeckError(fix.entry.command, f"there is no wall {style}; there are {shapes} and meshes.")
-    wall = Primitive(style, {}, (), wall_contact(deck, model, type), is_lammps)
+    wall = Primitive(style, {}, (), WallContact(type, model), is_lammps)
     if style in PLANES and is_lammps:
         for side in ("low", "high"):
             if words.next == "NULL":
@@ -179,6 +180,7 @@ def wall_gran(deck: Deck, fix: Fix) -> None:
     else:
         wall.cylinder = (words.number("the radius", "length"), *(words.number("c", "length") for _ in "12"))
     _wall_keywords(fix, words, wall)
+    wall.contact = wall_contact(deck, wall.contact.model, type)
     if wall.shear is not None and style == "ycylinder" and wall.shear[0] != "y":
         fix.entry.approximated("the cylinder turns; LIGGGHTS 3.8 computes no friction of such a ycylinder")
     fix.data = wall
@@ -215,6 +217,10 @@ def _wall_keywords(fix: Fix, words: Words, wall: Primitive) -> None:
                 fix.entry.approximated("output.contacts has the force of each contact with a wall")
         elif key == "contacts":
             fix.entry.approximated("output.contacts has the force of each contact with a wall")
+        elif key in OPTIONS and not wall.is_lammps:
+            model = wall.contact.model
+            options = {**model.options, key: option(words, key, fix.entry)}
+            wall.contact.model = replace(model, options=options)
         elif key == "temperature":
             wall_temperature(words.deck, fix, words.plain("the temperature"))
         elif key == "contact_area":
@@ -258,7 +264,7 @@ def _mesh_wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
             if words.flag(key):
                 fix.entry.approximated("output.contacts has the force of each contact with a wall")
         elif key in OPTIONS:
-            model = replace(model, options={**model.options, key: words.flag(key)})
+            model = replace(model, options={**model.options, key: option(words, key, fix.entry)})
         else:
             fix.entry.impossible(f"the keyword {key} of a mesh wall")
             unknown = f" before the unknown keyword {key}"

@@ -276,6 +276,14 @@ UNLIKE = {
 """Options without counterpart if they are on."""
 
 
+def option(words: Words, key: str, entry: Entry) -> bool:
+    """Read whether an option of a model is on."""
+    is_on = words.flag(key)
+    if is_on and key in UNLIKE:
+        entry.impossible(*UNLIKE[key])
+    return is_on
+
+
 def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] = ()) -> Model:
     """Read `model hertz tangential history ...` up to one of the words `stop`."""
     start = words.at
@@ -292,9 +300,7 @@ def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
             if words.word("off or stokes") not in ("off", "no"):
                 entry.impossible("restitution that depends on a Stokes number", "viscous off")
         elif key in OPTIONS:
-            options[key] = words.flag(key)
-            if options[key] and key in UNLIKE:
-                entry.impossible(*UNLIKE[key])
+            options[key] = option(words, key, entry)
         else:
             remedy = suggestion_sentence(key, ["model", *chosen, *OPTIONS], "keywords")
             raise DeckError(entry.command, f"contact models have no keyword {key}. {remedy}")

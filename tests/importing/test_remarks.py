@@ -154,10 +154,14 @@ def test_remark(tmp_path, deck, changes, part, kind, text):
     assert said[0] == kind and text in said[1]
 
 
-def test_keywords_after_contact_area_and_units_are_read(tmp_path):
+def test_keywords_at_the_end_of_a_line_are_read(tmp_path):
     change = ("zplane 0.0", "zplane 0.0 contact_area overlap shear x 0.5")
     walls = yaml.safe_load(report(tmp_path, "liggghts", change).text)["walls"]
     assert walls["w"]["motion"]["kind"] == "surface_velocity"
+    change = ("zplane 0.0", "zplane 0.0 limitForce on")
+    pairs = yaml.safe_load(report(tmp_path, "liggghts", change).text)["pairs"]
+    zeta = -log(0.6) / sqrt(pi**2 + log(0.6) ** 2)
+    assert pairs["type1-wall"]["restitution"] == pytest.approx(free_restitution(zeta, True), abs=1e-6)
     change = ("group one", "change_box all units box x final 0 0.2\ngroup one")
     domain = yaml.safe_load(report(tmp_path, "lammps", change).text)["domain"]
     assert domain["max"][0] == "200 mm"
