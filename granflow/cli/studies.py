@@ -35,6 +35,7 @@ from granflow.cli.run import prepare_output
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
+    from granflow.studies.calibration.calibrate import CalibrationFile
     from granflow.studies.calibration.results import CalibrationResult
     from granflow.studies.run_pool import Progress, Workers
     from granflow.studies.sweep import SweepFile
@@ -649,6 +650,8 @@ def calibrate(options: argparse.Namespace) -> int:
 
     study = read_calibration(options.file)
     out = options.out or Path("out") / study.name
+    if options.dry_run:
+        return show_trials(study, out, options.threads)
     with deferred_to_event() as (stop, signals):
         result = run_calibration(
             study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True)
@@ -662,6 +665,25 @@ def calibrate(options: argparse.Namespace) -> int:
     show_calibration(result)
     say(f"Written to {out / 'best.csv'}; open {out / 'calibration.html'} in a browser.")
     return 0 if result.is_met else 1
+
+
+def show_trials(study: "CalibrationFile", out: Path, threads: int) -> int:
+    """Print the estimated times of the scenes of a calibration and of all trials, without a run."""
+    from granflow.plan.explain import duration
+    from granflow.studies.calibration.calibrate import estimate_trials
+
+    found = estimate_trials(study, out, threads)
+    rows = [(name, *map(duration, seconds)) for name, seconds in found.scenes.items()]
+    show_table("One trial", ("scene", "estimated time", "shortest", "longest"), rows)
+    count = study.content.search.trials
+    left = max(count - found.ended, 0)
+    seconds = left * sum(middle for middle, _, _ in found.scenes.values())
+    say(
+        f"{left} of {count} trials are to do. Estimated computing time: {duration(seconds)}, without "
+        "compilation and output, with one thread of a usual processor; divide it by the number of "
+        "simultaneous trials. Trials that are stopped early take less."
+    )
+    return 0
 
 
 def show_calibration(result: "CalibrationResult") -> None:
@@ -688,3 +710,5 @@ def add_calibrate(verbs: Any) -> None:
     parser.add_argument("--jobs", metavar="N", type=count, help=jobs)
     threads = "CPU threads of each run (default: 1)"
     parser.add_argument("--threads", metavar="T", type=thread_count, default=1, help=threads)
+    dry_run = "check the scenes at the ends of the parameters, print their estimated times, and run none"
+    parser.add_argument("--dry-run", action="store_true", help=dry_run)

@@ -189,7 +189,14 @@ def shortfall(group: SceneGroup, error: RegionFullError) -> str:
     """Error message for a group that does not fit, with the source position of its count."""
     spec = group.spec
     place = f" in its {spec.insert.place_key}" if spec.insert.place_key else ""
+    outer = spec.shape.outer_diameter
+    spheres = (
+        ""
+        if outer is None
+        else f" For clumps the spheres around them count, here of {outer:.3g} m, so that none overlap in any "
+        "orientation: insert fewer at a time, as rain or through an inlet, and let them settle."
+    )
     return (
         f"{group.locate('count')}: particles.{group.name}.count is {spec.count}, but "
-        f"{error.shortfall}{place}. {error.remedy}"
+        f"{error.shortfall}{place}. {error.remedy}{spheres}"
     )

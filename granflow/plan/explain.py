@@ -311,7 +311,7 @@ def duration(seconds: float) -> str:
     """Duration, given in seconds, as text in seconds, minutes, hours or days, to two digits."""
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length:
-            return f"{seconds / length:.2g} {unit}"
+            return f"{float(f'{seconds / length:.2g}'):g} {unit}"
     return f"{max(seconds, 1.0):.2g} s"
 
 

@@ -902,6 +902,8 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
     for path, quantity, part in _all_expected(parts.scene):
         if part is not None and quantity not in known and quantity in whole_run:
             yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
+        elif path[0] == "stages" and _is_result_only(quantity, part or ""):
+            continue  # reported by `condition_columns`
         elif part is None and quantity not in whole_run and quantity in known:
             yield Fault(path, f"{quantity} requires {known[quantity]}; write {quantity}.NAME")
         elif quantity not in whole_run and quantity not in known:
@@ -1018,13 +1020,27 @@ def condition_columns(parts: PartialScene) -> Iterator[Fault]:
             if quantity in WALL_QUANTITIES and not is_controlled:
                 reason = f"{part} is neither a servo nor a free wall; its displacement follows from the time"
                 yield Fault(path, reason)
-            elif (
-                quantity in RESULT_ONLY
-                or (quantity.endswith("_mean") and quantity not in TOTAL_QUANTITIES)
-                or quantity in STAGE_QUANTITIES
-                or quantity in {**INSERTION_QUANTITIES, **RESIDENCE_QUANTITIES}
-            ):
-                yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")
+            elif _is_result_only(quantity, part):
+                instead = (
+                    "inserted_count, the sum of all groups"
+                    if quantity in INSERTION_QUANTITIES
+                    else ("particle_count, deleted_mass or wall_force_z.NAME")
+                )
+                yield Fault(
+                    path,
+                    f"it is a result of the whole run; give a column of timeseries.csv, such as {instead}",
+                )
+
+
+def _is_result_only(quantity: str, part: str) -> bool:
+    """Whether rows of the time series lack a quantity with a part; without one, they have the totals."""
+    return (
+        quantity in RESULT_ONLY
+        or (quantity.endswith("_mean") and quantity not in TOTAL_QUANTITIES)
+        or quantity in STAGE_QUANTITIES
+        or quantity in RESIDENCE_QUANTITIES
+        or (quantity in INSERTION_QUANTITIES and (bool(part) or quantity not in TOTAL_QUANTITIES))
+    )
 
 
 def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:

@@ -128,6 +128,15 @@ def test_message_about_too_many_particles_states_how_many_fit(case, fit):
         initial_particles(scene_with({"beads": case}))
 
 
+def test_message_about_too_many_clumps_states_that_the_spheres_around_them_count():
+    """A rod of three spheres of 4 mm at a distance of 3 mm is in a sphere of 10 mm."""
+    spheres = [{"position": [x, 0.0, 0.0], "radius": 0.002} for x in (-0.003, 0.0, 0.003)]
+    rods = group("pack", 100_000) | {"clump": {"spheres": spheres}}
+    del rods["diameter"]
+    with pytest.raises(SceneError, match=r"the spheres around them count, here of 0\.01 m, .*as rain"):
+        initial_particles(scene_with({"rods": rods}))
+
+
 def test_all_groups_that_do_not_fit_are_reported():
     scene = scene_with({"a": group("lattice", 40_000), "b": group("pack", 5, 0.2), "c": CASES["pack"]})
     with pytest.raises(SceneError) as caught:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from studies.sweep_files import SCENE
 
+from granflow.cli.main import main
 from granflow.errors import FileError, GranflowError, OutputError
-from granflow.studies.calibration.calibrate import read_calibration, run_calibration
+from granflow.studies.calibration.calibrate import estimate_trials, read_calibration, run_calibration
 from granflow.studies.calibration.schema import (
     Parameter,
     Target,
@@ -47,6 +48,18 @@ def written(folder, text=CALIBRATION):
     (folder / "spheres.yaml").write_text(SCENE)
     (folder / "calibration.yaml").write_text(text)
     return folder / "calibration.yaml"
+
+
+def test_dry_run_checks_the_ends_of_the_parameters_and_writes_nothing(tmp_path, capsys):
+    path = written(tmp_path)
+    command = ["calibrate", str(path), "--out", str(tmp_path / "out"), "--dry-run"]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "pair" in said and "12 of 12 trials are to do." in " ".join(said.split())
+    assert not (tmp_path / "out").exists()
+    study = read_calibration(written(tmp_path, CALIBRATION.replace("to: 0.9", "to: 1.2")))
+    with pytest.raises(FileError, match=r"calibration\.yaml:4:.* is 1\.2"):
+        estimate_trials(study, tmp_path / "out")
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [

@@ -98,7 +98,12 @@ class Material(Model):
     )
 
     preset: Text | None = Field(
-        None, description="name of a preset that supplies the values that are not given"
+        None,
+        description="name of a preset that supplies the values that are not given: "
+        + ", ".join(
+            f"{name} ({each.young_modulus / 1e9:g} GPa, {each.poisson_ratio:g}, {each.density:g} kg/m3)"
+            for name, each in PRESETS.items()
+        ),
     )
     young_modulus: YoungModulus = Field(
         description="Young's modulus [Pa], such as 70 GPa", examples=["70 GPa"]
@@ -164,7 +169,11 @@ class RestitutionFit(Model):
         "Zhou (2011), Eq. 11, with the yield strengths",
         examples=["100 m/s"],
     )
-    preset: Text | None = Field(None, description="name of a preset that supplies sigma and psi")
+    preset: Text | None = Field(
+        None,
+        description="name of a preset that supplies sigma and psi: "
+        + " or ".join(name for name, each in PRESETS.items() if each.restitution_fit),
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -70,8 +70,12 @@ class Rectangular(Model):
         if all(lengths) and not are_perpendicular(a, b):
             product = sum(x * y for x, y in zip(a, b, strict=True))
             angle = math.degrees(math.acos(product / (lengths[0] * lengths[1])))
+            across = [y - product / lengths[0] ** 2 * x for x, y in zip(a, b, strict=True)]
+            part = ", ".join(f"{each + 0.0:.4g}" for each in across)
             yield Fault(
-                ("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg"
+                ("sides",),
+                f"the two sides must be perpendicular, and their angle is {angle:.4g} deg; the part of the "
+                f"second side across the first is [{part}] m",
             )
 
 

@@ -14,7 +14,7 @@ from threading import Event, Lock
 from typing import Any
 
 from granflow.arguments import path_of, whole_number
-from granflow.errors import FileError, GranflowError
+from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.lock import locked
 from granflow.io.machine import worker_count
 from granflow.scene.reader import validated_source
@@ -25,10 +25,10 @@ from granflow.studies.calibration.results import (
     write_calibration_page,
     write_result,
 )
-from granflow.studies.calibration.schema import CalibrationInput, Target
-from granflow.studies.calibration.search import Search, require_optuna
-from granflow.studies.calibration.trials import Measured, TrialRunner, read_target
-from granflow.studies.checked_run import RunSettings
+from granflow.studies.calibration.schema import CalibrationInput, Target, from_unit
+from granflow.studies.calibration.search import JOURNAL, Search, require_optuna
+from granflow.studies.calibration.trials import Measured, TrialRunner, checked_scene, read_target
+from granflow.studies.checked_run import RunSettings, relocated
 from granflow.studies.figures import require_pandas
 from granflow.studies.run_pool import local_jobs
 from granflow.studies.run_process import naming_write_errors
@@ -180,6 +180,45 @@ def _run(
         write_best_scenes(out, file.content, file.scenes, best)
         write_calibration_page(out, file.content, result)
     return result
+
+
+@dataclass(frozen=True)
+class TrialEstimate:
+    """Estimated computing time [s] of the scenes of a trial by name: with the middle values of all
+    parameters, and the shortest and the longest with one parameter at an end of its range. `ended`: number of
+    trials that have ended."""
+
+    scenes: Mapping[str, tuple[float, float, float]]
+    ended: int
+
+
+def estimate_trials(file: CalibrationFile, out: Path, threads: int = 1) -> TrialEstimate:
+    """Check the scenes of a calibration with the values that `TrialEstimate` names, and estimate their time,
+    without a run and without a file.
+
+    Raises GranflowError for a scene that is invalid with one of the values.
+    """
+    parameters = file.content.parameters
+    middle = {name: from_unit(each, 0.5) for name, each in parameters.items()}
+    points = [middle]
+    for name, each in parameters.items():
+        points += [middle | {name: from_unit(each, share)} for share in (0.0, 1.0)]
+    common = RunSettings(out / "runs", threads, "cpu", out / ".stop")
+    found = {}
+    for scene, path in file.scenes.items():
+        try:
+            seconds = [
+                checked_scene(file.content, scene, path, file.targets, values, common).seconds
+                for values in points
+            ]
+        except SceneError as error:
+            raise relocated(error, file.positions) from None
+        found[scene] = seconds[0], min(seconds), max(seconds)
+    ended = 0
+    if (out / JOURNAL).exists():
+        trials = Search(file.content, out).study.get_trials(deepcopy=False)
+        ended = sum(trial.state.is_finished() for trial in trials)
+    return TrialEstimate(found, ended)
 
 
 POLL = 0.5

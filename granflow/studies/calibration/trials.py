@@ -210,6 +210,21 @@ class TrialFailed(Exception):
     """The trial has no loss; the message gives the reason."""
 
 
+def checked_scene(
+    calibration: CalibrationInput,
+    scene: str,
+    path: Path,
+    targets: Mapping[str, Measured],
+    values: Mapping[str, float],
+    common: RunSettings,
+) -> CheckedRun:
+    """A checked run of a scene of a calibration with values of the parameters by name; raises as
+    `checked_run`."""
+    own = [each for each in targets.values() if each.target.scene == scene and each.time is None]
+    read = {each.target.quantity: each.position for each in own}
+    return checked_run(path, settings_of(calibration, scene, values), read, common)
+
+
 @dataclass(frozen=True)
 class TrialRunner:
     """Runs trials. `scenes`: scene files by name; `positions`: of keys in the calibration file, for messages.
@@ -249,10 +264,7 @@ class TrialRunner:
 
     def _checked(self, scene: str, values: Mapping[str, float]) -> CheckedRun:
         """A checked run of a scene."""
-        settings = settings_of(self._calibration, scene, values)
-        targets = self._targets_of(scene).values()
-        read = {each.target.quantity: each.position for each in targets if each.time is None}
-        return checked_run(self.scenes[scene], settings, read, self.common)
+        return checked_scene(self._calibration, scene, self.scenes[scene], self.targets, values, self.common)
 
     def _targets_of(self, scene: str) -> dict[str, Measured]:
         """The targets of a scene by name."""
