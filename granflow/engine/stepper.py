@@ -7,14 +7,15 @@ repeats the rebuild.
 """
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from granflow.engine.attached import attach
 from granflow.engine.backend import free_device_memory
-from granflow.engine.codes import ABORT_OVERLAP, NOT_HALTED, PHASE_FORCES
+from granflow.engine.codes import ABORT_LEFT_DOMAIN, ABORT_OVERLAP, NO_PARTICLE, NOT_HALTED, PHASE_FORCES
 from granflow.engine.contact import build_end_ahead
 from granflow.engine.flows import build_withdraw
 from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
@@ -71,6 +72,22 @@ class Stepper:
         self._take_steps = state.built(build_steps)
         self._take_steps(*self.EMPTY_LAUNCH)
         self.timing.compile += clock.perf_counter() - began
+
+    @contextmanager
+    def _completing(self) -> Iterator[None]:
+        """In the block, forces are computed also if a rebuild has aborted the run because a particle has left
+        the domain: the state that is written is then that of the other particles at the end of this step."""
+        code, particle = self.abort_code, int(self.state.control.abort_particle[0])
+        if code == ABORT_LEFT_DOMAIN:
+            self._set_abort(0, NO_PARTICLE)
+        yield
+        if code == ABORT_LEFT_DOMAIN:
+            self._set_abort(code, particle)
+
+    def _set_abort(self, code: int, particle: int) -> None:
+        """Set the abort code and the id of its particle."""
+        control = self.state.control
+        control.abort[0], control.abort_particle[0] = code, particle
 
     def _prepare_workers(self) -> None:
         """Measure the pool of threads, if the next launch is the first with several workers."""
@@ -145,7 +162,8 @@ class Stepper:
         if self.state.deformation is not None and shares_rows(self.state):
             self.state.deformation.virial.fill(0)
             self.state.deformation.face_force.fill(0)
-        self._launch_step(1, pose, time_step, moving=0, forcing=1)
+        with self._completing():
+            self._launch_step(1, pose, time_step, moving=0, forcing=1)
 
     def refresh(self, step: int, velocities_lag: bool) -> None:
         """Rebuild the neighbor lists and compute forces after step number `step`.
@@ -355,6 +373,11 @@ class GpuStepper(Stepper):
         """As `Stepper.permit_overlap`."""
         super().permit_overlap(limit)
         self.state.control.halted_at[PHASE_FORCES] = NOT_HALTED
+        self._read = None
+
+    def _set_abort(self, code: int, particle: int) -> None:
+        """As `Stepper._set_abort`."""
+        super()._set_abort(code, particle)
         self._read = None
 
     @property

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.engine.clumps import body_positions, places_of_spheres
-from granflow.engine.codes import ABORT_FAR, ABORT_OVERLAP
+from granflow.engine.codes import ABORT_FAR, ABORT_LEFT_DOMAIN, ABORT_OVERLAP
 from granflow.engine.host import (
     WITHOUT_HISTORY,
     HistoryTable,
@@ -157,14 +157,15 @@ class RankStepper(Stepper):
             self._clear_loss_heat()
             self.rebuild_neighbor_lists(step + 1, self.poses.next)
             self._write_force_inputs(step + 1)
-        forcing = self._launch_phase(moving=0)
+        with self._completing():
+            forcing = self._launch_phase(moving=0)
         self._rank_rebuild.balance.record(moving + forcing)
         self.timing.sampled_forces += forcing
         with self._recorded("waiting"):
             self._agree()
         with self._recorded("exchange"):
             self._sum_wall_forces()
-        if self.abort_code not in (0, ABORT_OVERLAP):
+        if self.abort_code not in (0, ABORT_OVERLAP, ABORT_LEFT_DOMAIN):
             return 0
         if not is_due:
             self.steps_since_rebuild += 1

@@ -297,3 +297,30 @@ def test_message_of_a_particle_outside_the_domain_has_its_position(taichi_f64):
     message = abort_message(build_scene(groups, domain=domain, run={"duration": 0.1}, numerics=NUMERICS))
     assert re.search(r"particle 1 at 0\.003\d+ s is outside the domain", message)
     assert re.search(r"it is at \[0\.01\d+, 0, 0\] m \(glass, 3 m/s\)", message)
+
+
+def test_state_at_the_exit_of_a_particle_is_that_of_the_others_after_this_step(taichi_f64):
+    """As if the particle were deleted. The rebuild that finds it sorts the others, whose weights differ."""
+    light = particle_group([[0.0, 0.004 * k, 0.004] for k in (2, 0, -2)], 0.002)
+    heavy = particle_group([[0.0, 0.004 * k, 0.004] for k in (-1, 1)], 0.003, "steel", velocity=[1.0, 0, 0])
+    fast = particle_group([[0.0, 0, -0.004]], 0.002, velocity=[3.0, 0, 0])
+    found = []
+    for on_exit in ("error", "delete"):
+        domain = {"min": [-0.01] * 3, "max": [0.01] * 3, "on_exit": on_exit}
+        scene = build_scene(
+            {"light": light, "heavy": heavy, "fast": fast},
+            domain=domain, gravity=[0.0, 0.0, -100.0], run={"duration": 0.01, "time_step": 1e-5},
+            numerics=NUMERICS,
+        )  # fmt: skip
+        simulation = Simulation(scene)
+        if on_exit == "error":
+            with pytest.raises(RunError, match="particle 5 .* is outside the domain"):
+                simulation.run()
+        else:
+            simulation.run(until=found[0].time)
+        found.append(simulation.snapshot())
+        simulation.free()
+    assert found[0].time == found[1].time
+    assert found[0].particles["id"].tolist() == [0, 1, 2, 3, 4]
+    for name, values in found[0].particles.items():
+        np.testing.assert_array_equal(values, found[1].particles[name], err_msg=name)
