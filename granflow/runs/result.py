@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from granflow.errors import GranflowError
+from granflow.fields import ENERGY_BUDGET_QUANTITIES
 from granflow.io.files import read_text, write_text
 from granflow.scene.blocks.output import unit_of
 from granflow.visible_text import html_table, in_degrees, readable
@@ -247,15 +248,14 @@ _RUN = ("simulated_time", "step_count", "time_step", "particle_steps_per_second"
 _ALWAYS = ("particle_count", "contact_count")
 _FLOWS = ("inserted_count", "queued_count", "deleted_count")
 """Counts that are shown if particles have been inserted during the run, are queued, or have been deleted."""
-_STATE = (
-    "kinetic_energy",
-    "overlap_largest",
-    "coordination_number",
-    "box_pressure",
-    "stress_ratio",
-    "solid_fraction",
-    "energy_error",
-)
+_STATE = ("kinetic_energy", "overlap_largest", "coordination_number")
+_LAST = ("wall_work", "energy_error")
+"""Totals after those of the features of the scene, which are all that are not in the other tuples here."""
+_HIDDEN = {
+    *("rotational_energy", "overlap_mean", "wall_contact_count", "deleted_mass"),
+    *(f"{name}_{axis}" for name in ("box_width", "box_strain", "box_pressure", "gravity") for axis in "xyz"),
+    *ENERGY_BUDGET_QUANTITIES,
+}
 _WORK = ("wear_normal_work", "wear_tangential_work")
 _AXES = "xyz"
 _AT_REST = {"wall force (x, y, z)": tuple(f"wall_force_{axis}" for axis in _AXES)}
@@ -310,13 +310,19 @@ def _run_rows(result: Result) -> list[tuple[str, str, str]]:
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     """Return the rows of counts, state numbers, and totals of single outlets and walls, with their units."""
     totals = result.totals
-    names = [name for name in _ALWAYS if name in totals]
-    if totals.get("inserted_count") == totals.get("particle_count"):
-        names += [name for name in _FLOWS if name != "inserted_count" and totals.get(name)]
-    else:
-        names += [name for name in _FLOWS if totals.get(name)]
-    names += [name for name in _STATE if name in totals]
-    names += [name for name in totals if "." in name and not name.startswith(_WORK)]
+    counts = [name for name in _FLOWS if totals.get(name)]
+    if totals.get("inserted_count") == totals.get("particle_count") and "inserted_count" in counts:
+        counts.remove("inserted_count")
+    single = [name for name in totals if "." not in name]
+    others = [name for name in single if name not in {*_ALWAYS, *_FLOWS, *_STATE, *_LAST, *_HIDDEN}]
+    names = [
+        *(name for name in _ALWAYS if name in totals),
+        *counts,
+        *(name for name in _STATE if name in totals),
+        *(name for name in others if totals[name] != 0.0),
+        *(name for name in _LAST if name in totals and totals[name] != 0.0),
+        *(name for name in totals if "." in name and not name.startswith(_WORK)),
+    ]
     return [(_label(name).replace(".", ", "), *_value_and_unit(name, totals[name])) for name in names]
 
 

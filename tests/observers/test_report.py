@@ -71,6 +71,21 @@ def test_table_shows_insertion_and_deletion_only_if_they_occur():
     assert "inserted count 12" in rows and "deleted count 2" in rows and "queued count 0" not in rows
 
 
+def test_table_shows_the_totals_of_features_and_hides_terms_of_the_energy_budget():
+    totals = {"temperature_mean": 300.0, "box_pressure_x": 1.0, "box_pressure": 2.0, "elastic_energy": 3.0,
+              "friction_dissipation": 4.0, "wall_work": 5.0, "energy_error": 0.0, "overlap_mean": 0.1}  # fmt: skip
+    rows = shown(replace(RESULT, totals=totals))
+    assert [row.split(" ")[:2] for row in rows[4:7]] == [
+        ["temperature", "mean"],
+        ["box", "pressure"],
+        ["wall", "work"],
+    ]
+    assert not any(
+        word in row for row in rows for word in ("elastic", "dissipation", "overlap", "pressure x")
+    )
+    assert "wall work" not in " ".join(shown(replace(RESULT, totals=totals | {"wall_work": 0.0})))
+
+
 def test_table_shows_what_is_missing_of_an_inserted_group():
     group = {"inserted_count": 4, "inserted_mass": 0.5, "not_inserted_count": 0}
     assert shown(replace(RESULT, insertion={"feed": group}))[-1] == "inserted mass, feed 0.5 kg"

@@ -89,7 +89,7 @@ def test_a_pressure_is_read_with_its_unit_and_any_condition_ends_the_stage(taich
 
 def test_the_count_of_all_inserted_particles_ends_a_stage(taichi_f64):
     times, _ = stage_ends(press({"quantity": "inserted_count", "above": 0}))
-    assert times["press"][1] == pytest.approx(ROW, rel=0.05)
+    assert ROW <= times["press"][1] < 1.5 * ROW
 
 
 def test_a_condition_must_hold_and_wait_for_the_shortest_duration(taichi_f64):
