@@ -135,35 +135,6 @@ def test_static_overlap_of_the_weight():
     assert found.warning is None or found.overlap > 0.1
 
 
-def test_static_overlap_of_the_pressure_of_a_deforming_box():
-    """The largest of N = 3 n forces at the largest target p is ln(2 N) / 1.5 times pi d^2 p / (0.6 6)."""
-    glass = {"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}}
-    region = {"box": {"min": [0.0] * 3, "max": [0.02] * 3}}
-    group = {
-        "material": "glass", "count": 100, "diameter": 0.004, "insert": {"kind": "pack", "region": region}
-    }  # fmt: skip
-    targets = {"x": {"pressure": 1e4}, "y": {"pressure": 5e4}, "max_rate": 1.0}
-    domain = {
-        "min": [0.0] * 3,
-        "max": [0.02] * 3,
-        "periodic": ["x", "y", "z"],
-        "on_exit": "error",
-        "deformation": targets,
-    }
-    scene = build_scene(
-        {"p": group},
-        materials=glass,
-        normal="hertz",
-        domain=domain,
-        run={"duration": 0.1, "velocity_max": 0.1},
-    )
-    found = forecast(scene, "overlap in the box")
-    force = log(2 * 300) / 1.5 * pi * 0.004**2 * 5e4 / 3.6
-    k = 4 / 3 * 1e7 / (2 * (1 - 0.25**2)) * sqrt(0.001)
-    assert found.overlap == pytest.approx((force / k) ** (2 / 3) / 0.002, rel=1e-6)
-    assert "domain.deformation.y.pressure (50 kPa)" in found.warning
-
-
 def large_on_small(modulus, ratio=20.0, count=1500, normal="zhou"):
     """A particle of `ratio` mm that falls by 7 mm onto a layer of particles of 1 mm on a floor of 24 mm x 24
     mm."""
