@@ -1,11 +1,9 @@
 """Validation cases of process equipment: wear of walls, residence times, and motions of walls and gravity.
 
-Except for impacts that erode and gravity that turns, the scenes are shipped ones, whose numbers are compared
-with closed forms.
+Except for impacts that erode, the scenes are shipped ones, whose numbers are compared with closed forms.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy.integrate import quad
@@ -24,7 +22,7 @@ ANGLES, EROSION, IMPACT_STEP = (10.0, 45.0), 0.1, 2e-7
 PASSAGES = {"fast": (1.0, 40), "slow": (0.5, 40)}
 """Velocity [m/s] and number of particles of both streams of `residence_time`, whose meters are 0.1 m apart."""
 TURN_RATE, TURN_TIME, TURN_STEP = 100.0, 0.02, 2e-5
-"""Angular velocity of gravity [rad/s], duration and time step [s]."""
+"""Angular velocity of gravity [rad/s], duration and time step [s] of `turning_gravity`."""
 
 
 def wear_cases() -> list[ValidationCase]:
@@ -88,13 +86,19 @@ def _finnie_case(degrees: float) -> ValidationCase:
         "velocity": [passing, 0.0, -approach],
         "insert": {"kind": "positions", "positions": [[0.0, 0.0, radius + 1e-5]]},
     }
-    scene = _scene(
-        {"ball": ball},
-        [0, 0, 0],
-        run={"duration": 2e-3, "velocity_max": 2.0, "time_step": IMPACT_STEP, "precision": "f64"},
-        walls={"floor": floor | {"wear": {"law": "finnie", "coefficient": EROSION, "hardness": HARDNESS}}},
-    )
-    with Simulation(scene) as simulation:
+    scene = {
+        "title": "Impact on a wall that wears",
+        "gravity": [0, 0, 0],
+        "materials": {"solid": SOLID},
+        "pairs": {"solid-solid": {"restitution": 1.0, "friction": 0.0}},
+        "particles": {"ball": ball},
+        "walls": {"floor": floor | {"wear": {"law": "finnie", "coefficient": EROSION, "hardness": HARDNESS}}},
+        "contact": {"normal": "hertz", "tangential": "none", "rolling": "none"},
+        "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
+        "run": {"duration": 2e-3, "velocity_max": 2.0, "time_step": IMPACT_STEP, "precision": "f64"},
+        "output": {"interval": 1.0},
+    }
+    with Simulation(Scene.from_dict(scene)) as simulation:
         simulation.run()
         last = simulation.snapshot()
     assert last.particles["velocity"][0, 2] > 0.0
@@ -187,17 +191,7 @@ def _gravity_cases() -> list[ValidationCase]:
 
     v = -g/w (1 - cos a, 0, sin a),     x = -g/w (t - sin a / w, 0, (1 - cos a) / w)
     """
-    ball = {
-        "material": "solid",
-        "diameter": 0.01,
-        "insert": {"kind": "positions", "positions": [[0.0, 0.0, 0.0]]},
-    }
-    gravity = {
-        "vector": [0, 0, -GRAVITY],
-        "motion": {"kind": "rotation", "axis": [0, 1, 0], "angular_velocity": TURN_RATE},
-    }
-    run = {"duration": TURN_TIME, "velocity_max": 1.0, "time_step": TURN_STEP, "precision": "f64"}
-    with Simulation(_scene({"ball": ball}, gravity, run=run)) as simulation:
+    with Simulation(shipped_scene("verification/turning_gravity")) as simulation:
         simulation.run()
         found = simulation.snapshot().particles
     w, angle = TURN_RATE, TURN_RATE * TURN_TIME
@@ -253,21 +247,4 @@ def _pendulum_case() -> ValidationCase:
         unit="s",
         allowed=float(overlap.max()) / length,
         derivation="largest overlap with the wall over the length of the pendulum",
-    )
-
-
-def _scene(groups: dict[str, Any], gravity: Any, **blocks: Any) -> Scene:
-    """Elastic spheres without friction."""
-    return Scene.from_dict(
-        {
-            "title": "Validation",
-            "gravity": gravity,
-            "materials": {"solid": SOLID},
-            "pairs": {"solid-solid": {"restitution": 1.0, "friction": 0.0}},
-            "particles": groups,
-            "contact": {"normal": "hertz", "tangential": "none", "rolling": "none"},
-            "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
-            "output": {"interval": 1.0},
-            **blocks,
-        }
     )
