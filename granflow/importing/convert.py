@@ -101,7 +101,10 @@ def units(deck: Deck, command: Command, entry: Entry) -> None:
 
 def atom_style(deck: Deck, command: Command, entry: Entry) -> None:
     """atom_style STYLE"""
-    style = Words(deck, command, command.words).word("the atom style")
+    words = Words(deck, command, command.words)
+    style = words.word("the atom style")
+    if words.next in ("0", "1"):  # whether radii change
+        words.skip()
     if style in SHAPES:
         entry.not_needed("particles are spheres or clumps")
     else:
@@ -237,6 +240,7 @@ def convert(
             commands[command.name].handler(deck, command, entry)
         else:
             entry.impossible(f"the command {command.name} is not known", _similar(command.name, commands))
+        deck.report_unread(entry)
         _tell_box(deck)
         if command.name == "clear":
             break

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from granflow.importing.language import Command, DeckError, Interpreter
-from granflow.importing.report import Entry, Report
+from granflow.importing.report import NOT_POSSIBLE, Entry, Report
 
 Vector = tuple[float, float, float]
 
@@ -212,6 +212,15 @@ class Deck:
     family: dict[str, Any] = field(default_factory=dict)
     """Data of the families that are no fixes, by the name of the family."""
     particles: list[ParticleGroup] = field(default_factory=list)
+    readers: list["Words"] = field(default_factory=list)
+    """The readers of the present command."""
+
+    def report_unread(self, entry: Entry) -> None:
+        """Report the words of a command that its handler has not read, unless it is not possible anyway."""
+        unread = [words for words in self.readers if words]
+        self.readers.clear()
+        if unread and entry.kind != NOT_POSSIBLE:
+            entry.impossible(f"{' '.join(unread[0].rest)} at the end of the line", "the line without it")
 
     def si(self, value: float, dimension: str) -> float:
         """A number of the script in SI units."""
@@ -273,9 +282,13 @@ class Deck:
 
 
 class Words:
-    """Reads the words of a command one after the other; each error names what is expected."""
+    """Reads the words of a command one after the other; each error names what is expected.
+
+    Words that a handler has neither read nor skipped are reported as not possible (`Deck.readers`).
+    """
 
     def __init__(self, deck: Deck, command: Command, words: tuple[str, ...]) -> None:
+        deck.readers.append(self)
         self.deck = deck
         self.command = command
         self.words = words

@@ -59,9 +59,12 @@ def delete_atoms(deck: Deck, command: Command, entry: Entry) -> None:
     if deck.time > 0.0:
         _delete_later(deck, command, words, style, entry)
     elif points is None:
+        words.skip()
         entry.not_needed("the box has no particles yet")
     else:
         _delete_points(deck, command, words, style, points, entry)
+    while words.next in ("compress", "bond", "mol"):  # storage of particles
+        words.flag(words.word("a keyword"))
 
 
 # Before the first run

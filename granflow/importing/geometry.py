@@ -83,6 +83,8 @@ def create_box(deck: Deck, command: Command, entry: Entry) -> None:
     words = Words(deck, command, command.words)
     deck.types = words.whole("the number of types")
     region = region_of(deck, command, words.word("the name of a region"))
+    if words.next.startswith(("bond/", "angle/", "extra/")):  # storage of molecules
+        words.skip()
     if region.kind != "block":
         raise DeckError(command, f"region {region.name} is a {region.kind}; a box needs a block.")
     if not np.isfinite(region.numbers).all():
@@ -94,6 +96,7 @@ def create_box(deck: Deck, command: Command, entry: Entry) -> None:
 
 def freeze(deck: Deck, fix: Fix) -> None:
     """fix ID group freeze: particles that do not move."""
+    Words(deck, fix.entry.command, fix.words)
     fix.data = fix.group
 
 

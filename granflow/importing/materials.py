@@ -471,13 +471,17 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
     elif style == "granular":
         deck.family["pair_entry"] = entry
         deck.own("pair_models", dict)
-        if words and not is_number(words.next):  # a number is the cutoff
+        if is_number(words.next):
+            words.word("the cutoff")
+        if words:
             entry.impossible(f"the further style {words.next}", "one granular style")
     elif style == "soft":
+        words.skip()
         deck.own("relaxations", list).append(
             (entry, "the pair style soft", "kind: pack, which inserts without overlap")
         )
     elif style in ("none", "zero"):
+        words.skip()
         deck.family.pop("model", None)
         deck.family.pop("pair_models", None)
         deck.family["pair_entry"] = entry

@@ -66,7 +66,11 @@ def template_multisphere(deck: Deck, fix: Fix) -> None:
 
 def multisphere(deck: Deck, fix: Fix) -> None:
     """fix ID group multisphere [allow_group_and_set yes|no] [allow_heatsource yes|no] [CAddRhoFluid C RHO]"""
-    if "CAddRhoFluid" in fix.words:
+    words = Words(deck, fix.entry.command, fix.words)
+    while words.next in ("allow_group_and_set", "allow_heatsource"):
+        words.flag(words.word("a keyword"))
+    if words.next == "CAddRhoFluid":
+        words.skip()
         fix.entry.impossible("the added mass of a fluid (CAddRhoFluid)", "clumps without a fluid")
     fix.entry.not_needed(_BODIES)
 

@@ -196,8 +196,16 @@ def gravity(deck: Deck, fix: Fix) -> None:
 
 def nve_sphere(deck: Deck, fix: Fix) -> None:
     """fix ID group nve/sphere [update dipole] [disc] [implicit_integration yes|no]"""
-    if "disc" in fix.words:
+    words = Words(deck, fix.entry.command, fix.words)
+    if words.next == "update":
+        words.word("update")
+        words.word("dipole")
+    if words.next == "disc":
+        words.skip()
         fix.entry.impossible("moments of inertia of discs", "spheres")
+    if words.next == "implicit_integration":
+        words.word("implicit_integration")
+        words.flag("implicit_integration")
     fix.entry.not_needed("particles that are not fixed are integrated")
 
 
@@ -225,6 +233,7 @@ def dump(deck: Deck, command: Command, entry: Entry) -> None:
     style = words.word("the style")
     steps = words.whole("the interval in steps")
     if style in ("image", "movie"):
+        words.skip()
         entry.not_needed("granflow render writes images and films of a run")
         return
     words.word("the file")
@@ -265,7 +274,9 @@ def thermo_modify(deck: Deck, command: Command, entry: Entry) -> None:
 
 def restart(deck: Deck, command: Command, entry: Entry) -> None:
     """restart N FILE"""
-    steps = Words(deck, command, command.words).whole("the interval in steps")
+    words = Words(deck, command, command.words)
+    steps = words.whole("the interval in steps")
+    words.skip()
     if steps:
         deck.family["restart"] = (steps, entry)
     else:
@@ -278,6 +289,7 @@ def compute(deck: Deck, command: Command, entry: Entry) -> None:
     name = words.word("the name of the compute")
     words.word("a group")
     style = words.word("the style")
+    words.skip()
     deck.computes[name] = entry
     counterpart = COMPUTES.get(style)
     if counterpart is None:

@@ -57,6 +57,7 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
         return
     points: Points | None = deck.family.get("points")
     if points is None and deck.time == 0.0:
+        words.skip()
         entry.not_needed("the box has no particles yet, so that it changes none")
         return
     if points is None or deck.time > 0.0:
@@ -112,6 +113,7 @@ def velocity(deck: Deck, command: Command, entry: Entry) -> None:
         entry.impossible("changes of particles during the simulation", CHANGES)
         return
     if points is None:
+        words.skip()
         entry.not_needed("the box has no particles yet, so that it changes none")
         return
     chosen = chosen_points(deck, command, points, "group", group)
@@ -268,11 +270,12 @@ def property_atom(deck: Deck, fix: Fix) -> None:
     """fix ID group property/atom NAME STYLE RESTART COMM REVERSE DEFAULT: a source of heat, or own data."""
     words = Words(deck, fix.entry.command, fix.words)
     name = words.word("the name of the property")
-    if name not in PROPERTIES or len(words.rest) < 5:
+    if len(words.rest) < 5 or name not in PROPERTIES:
         fix.entry.not_needed("properties of the particle files are fixed")
         return
     words = Words(deck, fix.entry.command, fix.words[5:])
     if words.next in ("none", "NULL"):
+        words.skip()
         fix.entry.not_needed("it has no value")
         return
     key, dimension, unit = PROPERTIES[name]

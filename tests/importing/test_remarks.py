@@ -167,6 +167,58 @@ def test_keywords_at_the_end_of_a_line_are_read(tmp_path):
     assert domain["max"][0] == "200 mm"
 
 
+READ = {
+    "lammps": [
+        *(
+            "timestep 1e-5",
+            "boundary f f f",
+            "create_box 2 box",
+            "pair_coeff * *",
+            "fix i all nve/sphere",
+            "fix f one freeze",
+        ),
+        *(
+            "velocity all zero linear",
+            "delete_atoms region box",
+            "reset_timestep 0",
+            "unfix i",
+            "set group all density 2500",
+        ),
+        "fix g all gravity 9.81 vector 0 0 -1",
+    ],
+    "liggghts": [
+        *("units si", "fix m all multisphere", "thermo 10", "fix m all heat/gran initial_temperature 300"),
+        "fix p1 all particletemplate/sphere 15485863 atom_type 1 density constant 2500 radius constant 0.002",
+    ],
+}
+
+
+@pytest.mark.parametrize(("deck", "line"), [(deck, line) for deck, lines in READ.items() for line in lines])
+def test_words_at_the_end_that_nothing_reads_are_not_possible(tmp_path, deck, line):
+    """A command of the deck, or one before its last run, with a word too many."""
+    change = (
+        (line, f"{line} surplus") if f"\n{line}\n" in DECKS[deck] else ("run 100", f"{line} surplus\nrun 100")
+    )
+    kind, sentence = remark(report(tmp_path, deck, change), "surplus")
+    assert kind == "not possible" and "surplus" in sentence
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [
+            "compute c all reduce sum x",
+            "dump d all image 10 f.jpg type type",
+            "fix p all property/atom mine scalar yes no no 0",
+        ],
+        ["delete_atoms region box compress no", "restart 10 a b", "pair_style soft 1.0"],
+    ],
+)
+def test_words_of_what_is_not_needed_are_permitted(tmp_path, lines):
+    found = report(tmp_path, "lammps", ("group one", "\n".join([*lines, "group one"])))
+    assert all("at the end of the line" not in sentence for _, _, _, sentence in found.report.lines())
+
+
 @pytest.mark.parametrize(
     ("deck", "changes", "message"),
     [
