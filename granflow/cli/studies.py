@@ -671,6 +671,7 @@ def show_trials(study: "CalibrationFile", out: Path, threads: int) -> int:
     """Print the estimated times of the scenes of a calibration and of all trials, without a run."""
     from granflow.plan.explain import duration
     from granflow.studies.calibration.calibrate import estimate_trials
+    from granflow.studies.calibration.response import sufficient_trials
 
     found = estimate_trials(study, out, threads)
     rows = [(name, *map(duration, seconds)) for name, seconds in found.scenes.items()]
@@ -683,6 +684,9 @@ def show_trials(study: "CalibrationFile", out: Path, threads: int) -> int:
         "compilation and output, with one thread of a usual processor; divide it by the number of "
         "simultaneous trials. Trials that are stopped early take less."
     )
+    enough = sufficient_trials(len(study.content.parameters))
+    if count < enough:
+        say(f"{count} trials are few to identify the parameters: set search.trials to {enough} or more.")
     return 0
 
 

@@ -56,6 +56,7 @@ def test_dry_run_checks_the_ends_of_the_parameters_and_writes_nothing(tmp_path, 
     assert main(command) == 0
     said = capsys.readouterr().out
     assert "pair" in said and "12 of 12 trials are to do." in " ".join(said.split())
+    assert "set search.trials to 16 or more" in said, "2 (3 + 5) for two parameters"
     assert not (tmp_path / "out").exists()
     study = read_calibration(written(tmp_path, CALIBRATION.replace("to: 0.9", "to: 1.2")))
     with pytest.raises(FileError, match=r"calibration\.yaml:4:.* is 1\.2"):

@@ -60,8 +60,12 @@ class Response:
         slopes = _term_slopes(u, self.degree)
         errors = np.outer(self.scatter, np.sqrt(np.einsum("it,ts,is->i", slopes, self.spread, slopes)))
         gradient = (slopes @ self.coefficients).T
-        least_ratio = stdtrit(self.freedom, 1.0 - LEVEL / 2.0)
-        return np.where(np.abs(gradient) >= least_ratio * errors, gradient, 0.0)
+        return np.where(np.abs(gradient) >= self.least_ratio * errors, gradient, 0.0)
+
+    @property
+    def least_ratio(self) -> float:
+        """Smallest ratio of a slope to its standard error that the scatter does not explain."""
+        return float(stdtrit(self.freedom, 1.0 - LEVEL / 2.0))
 
     def deviation(self, u: np.ndarray) -> np.ndarray:
         """Standard deviations (d,) with which the residuals determine the parameters at u (d,)."""
@@ -103,6 +107,17 @@ def fit_response(
 def fewest_trials(count: int, degree: int = 1) -> int:
     """Smallest number of trials for a fit of `degree` with `count` parameters."""
     return int(np.ceil(SURPLUS * _terms(np.zeros((1, count)), degree).shape[1])) + 1
+
+
+SUFFICIENT_FREEDOM = 5
+"""Trials near the best one beyond the coefficients of a linear fit from which a slope counts that is 5.5
+times its standard error or more; with 2 it must be 19 times, with many 3 times."""
+
+
+def sufficient_trials(count: int) -> int:
+    """Number of trials from which the half of them gives SUFFICIENT_FREEDOM to a linear fit with `count`
+    parameters."""
+    return 2 * (count + 1 + SUFFICIENT_FREEDOM)
 
 
 def _terms(u: np.ndarray, degree: int) -> np.ndarray:

@@ -19,7 +19,12 @@ from granflow.io.files import replacing, write_text
 from granflow.io.tables import write_table
 from granflow.load import copied_scene
 from granflow.scene.blocks.output import unit_of
-from granflow.studies.calibration.response import fewest_trials, fit_response, is_identified
+from granflow.studies.calibration.response import (
+    fewest_trials,
+    fit_response,
+    is_identified,
+    sufficient_trials,
+)
 from granflow.studies.calibration.schema import (
     CalibrationInput,
     deviation_in_units,
@@ -168,6 +173,13 @@ def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[Be
                 f"{name} cannot be identified from the targets: near the best values, they respond to it "
                 "alone by too little, compared with their tolerances and the scatter between runs."
             )
+            enough = sufficient_trials(len(parameters))
+            if line is not None and len(completed) < enough:
+                sentence += (
+                    f" {len(completed)} completed trials are few: an effect must be {line.least_ratio:.2g} "
+                    f"times its standard error, with many trials 3 times. Raise search.trials to {enough} or "
+                    "more."
+                )
         optimum = nan if sentence else from_unit(each, float(optima[k]))
         error = deviation_in_units(each, values[name], float(deviations[k]))
         shown = each.text(values[name], 5), each.text(optimum, 5), each.text(error, 2)
@@ -255,14 +267,15 @@ def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
     None if missing.
     """
     names = [each.name for each in result.parameters]
-    targets = [each.name for each in result.targets]
     found: dict[str, list[Any]] = {"trial": [trial.number for trial in result.trials]}
     found["state"] = [state_of(trial) for trial in result.trials]
     found["loss"] = [trial.value if trial.state.name == "COMPLETE" else None for trial in result.trials]
     for name in names:
         found[name] = [trial.params.get(name) for trial in result.trials]
-    for name in targets:
-        found[f"target.{name}"] = [trial.user_attrs.get("simulated", {}).get(name) for trial in result.trials]
+    for target in result.targets:
+        unit = unit_of(target.quantity)
+        heading = f"target.{target.name} [{unit}]" if unit else f"target.{target.name}"
+        found[heading] = [trial.user_attrs.get("simulated", {}).get(target.name) for trial in result.trials]
     found["reason"] = [trial.user_attrs.get("reason") for trial in result.trials]
     found["warnings"] = [" ".join(warnings_of_trial(trial)) for trial in result.trials]
     found["runs"] = [" ".join(runs_of(trial).values()) for trial in result.trials]
