@@ -226,7 +226,7 @@ def show_result(scene: "Scene", result: "Result", out: Path) -> None:
     """
     from rich.console import Console
 
-    from granflow.runs.result import closing_table
+    from granflow.runs.result import STAGE_ENDS, closing_table
 
     moving = {name for name, wall in scene.walls.items() if any(not each.is_belt for each in wall.motion)}
     Console().print(closing_table(result, visible(scene.title), moving))
@@ -235,7 +235,9 @@ def show_result(scene: "Scene", result: "Result", out: Path) -> None:
     series = sorted(str(path) for path in out.glob("*.pvd"))
     if series:
         say(f"For ParaView: {', '.join(series)}")
-    say(f"All numbers: {out / 'result.json'}; over time: {out / 'timeseries.csv'}")
+    ends = out / STAGE_ENDS
+    stages = f"; at the end of each stage: {ends}" if ends.exists() else ""
+    say(f"All numbers: {out / 'result.json'}; over time: {out / 'timeseries.csv'}{stages}")
 
 
 # resume

@@ -180,6 +180,27 @@ def write_result(directory: Path, result: Result) -> Path:
     return path
 
 
+STAGE_ENDS = "stages.csv"
+"""Name of the file with the last row of each stage."""
+
+
+def write_stage_ends(directory: Path) -> None:
+    """Write `stages.csv` atomically: the rows of `timeseries.csv` at the ends of the stages.
+
+    A run with a single stage has no such file.
+    """
+    series = directory / "timeseries.csv"
+    if not series.is_file():
+        return
+    rows: dict[str, str] = {}
+    with series.open(encoding="utf-8") as file:
+        heading = file.readline()
+        for line in file:
+            rows[line.split(",", 2)[1]] = line
+    if len(rows) > 1:
+        write_text(directory / STAGE_ENDS, heading + "".join(rows.values()))
+
+
 def read_sections(path: Path) -> dict[str, Any]:
     """The sections of `result.json`; empty if it does not exist.
 

@@ -28,7 +28,7 @@ from granflow.io.lock import DirectoryLock, refuse_second_run, writing
 from granflow.io.log import LOG, RECORD, collected_warnings, run_log, write_scene_as_run
 from granflow.load import Scene, copied_scene
 from granflow.observers.observer import Checkpointable, Schedule
-from granflow.runs.result import Result, write_result
+from granflow.runs.result import STAGE_ENDS, Result, write_result, write_stage_ends
 from granflow.scene.blocks.output import Checkpoints
 
 POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
@@ -238,6 +238,7 @@ class RunDirectory:
         if self.path is not None:
             self.check()
             write_result(self.path, result)
+            write_stage_ends(self.path)
         return result
 
     def note_on_state(self, written: bool, change: str) -> str:
@@ -474,6 +475,7 @@ RESULT_FILES = (
     "analysis/fields_*.vtu",
     "analysis/metrics.csv",
     "timeseries.csv",
+    STAGE_ENDS,
     "collision_energies.csv",
     "passages_*.csv",
     "residence_time.csv",

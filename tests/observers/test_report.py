@@ -12,7 +12,14 @@ import pytest
 from rich.console import Console
 
 from granflow.io.log import read_record, run_log
-from granflow.runs.result import ExpectationResult, Result, closing_table, evaluate, write_result
+from granflow.runs.result import (
+    ExpectationResult,
+    Result,
+    closing_table,
+    evaluate,
+    write_result,
+    write_stage_ends,
+)
 
 RESULT = Result(
     run={"simulated_time": 1.5, "step_count": np.int64(1_234_567)},
@@ -42,6 +49,16 @@ def test_json_is_strict_and_contains_the_same_numbers(tmp_path):
     assert content["totals"]["energy_error"] is None
     assert content["flow_meters"]["outlet"]["mass_flow"] == 0.153
     assert content["expect"] == [{"sentence": "All is well.", "met": True}]
+
+
+def test_stage_ends_are_the_last_rows_of_the_stages(tmp_path):
+    rows = ["time [s],stage,height", "0.0,fill,1", "0.1,fill,2", "0.2,press,3", "0.3,press,4"]
+    (tmp_path / "timeseries.csv").write_text("\n".join(rows[:3]) + "\n")
+    write_stage_ends(tmp_path)
+    assert not (tmp_path / "stages.csv").exists(), "a single stage"
+    (tmp_path / "timeseries.csv").write_text("\n".join(rows) + "\n")
+    write_stage_ends(tmp_path)
+    assert (tmp_path / "stages.csv").read_text().splitlines() == [rows[0], rows[2], rows[4]]
 
 
 def shown(result, **options):

@@ -109,7 +109,10 @@ class SceneInput(Model):
     output: Output = Field(description="selection and intervals of the output")
     expect: Annotated[tuple[Expectation, ...], ListOf()] = Field(
         (),
-        description="expectations for the results of the finished run",
+        description=(
+            "expectations for the results of the finished run: totals, their TOTAL_mean.STAGE and "
+            "TOTAL_largest.STAGE, and NAME.PART for flow meters, walls, metrics and groups"
+        ),
         examples=[[{"quantity": "particle_count", "equals": 8000, "tolerance": 0}]],
     )
 
