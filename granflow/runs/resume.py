@@ -53,11 +53,14 @@ class Change:
     """Differences between the scene of a checkpoint and the scene that continues the run."""
 
     differences: tuple[Difference, ...]
+    affects_forces: bool
+    """Whether pairs differ, or walls at the present time, so that forces must be recomputed before the next
+    step. Walls that differ later only leave the next steps bit-identical."""
 
     @property
-    def affects_contacts(self) -> bool:
-        """Whether walls or pairs differ, so that forces must be recomputed before the next step."""
-        return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
+    def affects_walls(self) -> bool:
+        """Whether walls differ, also at later times only."""
+        return any(each.key.startswith("walls.") for each in self.differences)
 
     @property
     def keeps_course(self) -> bool:
@@ -113,7 +116,8 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     _refuse_jumps(before, plan, saved, checkpoint.time)
     if before.run.precision != now.run.precision:
         _change_remainders(saved["engine"]["particles"], plan)
-    change = Change(differences(before, now))
+    found = differences(before, now)
+    change = Change(found, _affects_forces(found, before, plan, saved, checkpoint.time))
     _refuse_past_end(checkpoint, now, change)
     return change
 
@@ -303,12 +307,7 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
     """
     stage_times: StageTimes = saved["stage_progress"]["stage_times"]
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
-    motions_before = [
-        [each.numeric(before.usual_gravity) for each in wall.motion] for wall in before.walls.values()
-    ]
-    motions = [
-        wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])
-    ]
+    motions = _motions_of(before, plan, stage_times)
     for wall, first, second in zip(plan.walls, *motions, strict=False):
         moved = np.linalg.norm(
             _positions(first, time, corners) - _positions(second, time, corners), axis=1
@@ -318,6 +317,47 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
                 f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. "
                 "Terminate the old motion at this time (end:) and add another motion from this time (start:)."
             )
+
+
+LATER = re.compile(r"walls\.\w+(\.\w+)?\.(stages|appears_at|vanishes_at|motion)\b")
+"""Keys of walls that can differ at later times only."""
+
+
+def _affects_forces(
+    found: Sequence[Difference], before: Scene, plan: Plan, saved: Mapping[str, Any], time: float
+) -> bool:
+    """Whether differences change the forces at `time` [s]: those of pairs, and walls that are present or move
+    otherwise at this time, or were elsewhere when the neighbor lists were filled."""
+    keys = [each.key for each in found if each.key.startswith(("walls.", "pairs."))]
+    if not all(LATER.match(key) for key in keys) or saved["changes"]["walls"]:
+        return bool(keys)
+    progress, state = saved["stage_progress"], saved["engine"]
+    middle = time + 0.5 * plan.time_step
+    present = [wall.spec.is_present(progress["stage"], middle) for wall in plan.walls]
+    if list(map(bool, state["walls_present"])) != present:
+        return True
+    earlier = [each.numeric(before.usual_gravity) for wall in before.walls.values() for each in wall.motion]
+    if any(each.force_controlled for each in earlier) and any(".motion" in key for key in keys):
+        return True
+    moments = np.array([time])
+    if (clock := state["clock_at_rebuild"]) is not None:
+        steps = clock["step_count"] - clock["since_step"]
+        moments = np.append(moments, clock["since_time"] + steps * clock["time_step"])
+    return not all(
+        np.array_equal(old, new)
+        for motions in zip(*_motions_of(before, plan, progress["stage_times"]), strict=True)
+        for old, new in zip(*(astuple(poses_at(each, moments)) for each in motions), strict=True)
+    )
+
+
+def _motions_of(
+    before: Scene, plan: Plan, stage_times: StageTimes
+) -> tuple[Sequence[Sequence[TimedMotion]], Sequence[Sequence[TimedMotion]]]:
+    """Motions of each wall with their times: of the scene of the checkpoint, and of the plan."""
+    earlier = [[each.numeric(before.usual_gravity) for each in wall.motion] for wall in before.walls.values()]
+    return wall_motions(earlier, stage_times), wall_motions(
+        [each.motions for each in plan.walls], stage_times
+    )
 
 
 def _positions(motions: Sequence[TimedMotion], time: float, points: np.ndarray) -> np.ndarray:

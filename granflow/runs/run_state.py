@@ -191,9 +191,10 @@ class RunState:
             if name in saved["observers"]:
                 observer.load_state_dict(saved["observers"][name])
         self.wall_clock.load_state_dict(saved["wall_clock"])
-        if change.affects_contacts:
+        if change.affects_walls:
             times = wall_change_times(engine.plan.walls)
             progress.changes = tuple(time for time in times if not engine.reached(time))
+        if change.affects_forces:
             progress.set_walls(engine)
             engine.refresh()
 

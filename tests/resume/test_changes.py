@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from resume.runs import balls
-from scene_builders import particle_group
+from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
 from granflow.cli.main import main
@@ -100,6 +100,40 @@ def resumed_snapshot(scene, checkpoint, until):
 def restored(checkpoint):
     """Particles of the checkpoint, with positions and velocities at the same time."""
     return resumed_snapshot(falling(), checkpoint, until=checkpoint.time).particles
+
+
+@pytest.mark.parametrize(("gate_until", "affects"), [(0.018, False), (0.03, False), (0.01, True)])
+def test_walls_that_differ_later_do_not_affect_the_present_forces(checkpoint, gate_until, affects):
+    """Forces that are computed again between two steps differ from those of an uninterrupted run by the
+    corrections within the step."""
+    change = accepted_change(checkpoint, gf.plan_for(falling(gate_until=gate_until)), False)
+    assert change.affects_walls and change.affects_forces is affects
+
+
+@pytest.mark.parametrize(
+    ("motion", "affects"),
+    [
+        ([{"end": 0.5}, {"start": 0.5}], False),
+        ([{"end": 0.015}], True),
+    ],
+)
+def test_motions_that_differ_later_do_not_affect_the_present_forces(taichi_f64, tmp_path, motion, affects):
+    """A lid whose second translation begins later, and one that has stopped 0.1 ms before the checkpoint."""
+    upward = {"kind": "translation", "velocity": [0, 0, 0.01]}
+
+    def moving(given):
+        lid = plane([0, 0, 0.9], [0, 0, -1]) | {"motion": given}
+        return build_scene(
+            {"ball": particle_group([[0.0, 0.0, 0.5]])},
+            {"lid": lid},
+            run={"duration": 0.1, "velocity_max": 1.0},
+        )
+
+    with gf.Simulation(moving([upward]), out=tmp_path / "out") as simulation:
+        simulation.run(until=0.0151)
+    found, _ = newest_checkpoint(tmp_path / "out")
+    plan = gf.plan_for(moving([upward | each for each in motion]))
+    assert accepted_change(found, plan, True).affects_forces is affects
 
 
 def test_gate_removed_on_resume_lets_particles_fall(checkpoint, restored):
