@@ -62,8 +62,7 @@ class PairMaterial:
 
     modulus_eff:        E [Pa], see `modulus_eff`
     shear_modulus_eff:  G [Pa], see `shear_modulus_eff`, times `stiffness_factor` of the tangential model
-    friction:           coefficient of sliding friction [-]
-    properties:         keys of `pairs` that contact models declare, other than friction, in SI units
+    properties:         keys of `pairs` that contact models declare, in SI units
     materials:          the two materials, with the keys that contact models declare as attributes
     """
 
@@ -72,7 +71,6 @@ class PairMaterial:
     restitution: float | VelocityRestitution | None
     """Number or function of velocity. None if the pair gives none; the model then derives it from the
     materials."""
-    friction: float
     yield_strength: float | None = None
     """Yield strength of the softer material [Pa]; None if neither material has one."""
     properties: Mapping[str, float] = field(default_factory=dict)

@@ -134,7 +134,6 @@ def _pair_material(
         modulus_eff(a, b),
         getattr(tangential, "stiffness_factor", 1.0) * shear_modulus_eff(a, b),
         pair.restitution_of(a, b),
-        pair.friction,
         yield_strength(a, b),
         properties,
         (a, b),
@@ -202,7 +201,7 @@ def pair_cases_of(scene: Scene, groups: Sequence[SceneGroup], pairs: PairMateria
         both = (group.spec.material, group.spec.material)
         nothing = dict.fromkeys(registry.pair_properties(), 0.0)
         elastic_pair = PairMaterial(
-            modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0, properties=nothing
+            modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, properties=nothing
         )
         pair_cases.append(_pair_case(f"{group.name}-{group.name}", both, elastic_pair, group, group))
     contacts = max(sum(group.spec.count for group in groups) + len(scene.walls) - 1, 1)

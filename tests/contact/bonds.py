@@ -23,7 +23,7 @@ OPTIONS = {
 
 def pair_with(**options):
     """An elastic pair with the values of OPTIONS, or others."""
-    return PairMaterial(MODULUS, 0.3 * MODULUS, 1.0, 0.0, properties=OPTIONS | options)
+    return PairMaterial(MODULUS, 0.3 * MODULUS, 1.0, properties=OPTIONS | options)
 
 
 def law_of(name, pair):

@@ -82,7 +82,7 @@ def pair_of(restitution, units, properties=no_properties):
     yield_strength = YIELD_STRENGTH * units.pascal if restitution is no_restitution else None
     elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
     options = {"cohesion_energy_density": COHESION * units.pascal} | properties(units)
-    return PairMaterial(*elastic, restitution(units), 0.0, yield_strength=yield_strength, properties=options)
+    return PairMaterial(*elastic, restitution(units), yield_strength=yield_strength, properties=options)
 
 
 @dataclass(frozen=True)

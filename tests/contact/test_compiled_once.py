@@ -49,9 +49,7 @@ def variants(model, number):
     fit = model.restitution == "number or fit"
     restitution = VelocityRestitution(number, 0.9 * number, 1.0 + number) if fit else number
     options = dict.fromkeys(model.pair_properties.model_fields, number)
-    pair = PairMaterial(
-        4e7 * number, 1e7, restitution, number, yield_strength=1e6 * number, properties=options
-    )
+    pair = PairMaterial(4e7 * number, 1e7, restitution, yield_strength=1e6 * number, properties=options)
     return [
         model.law.from_scene(ModelRequest(model.options(**given), (pair,), number, 0.9 * number, True))
         for given in settings

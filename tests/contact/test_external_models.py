@@ -272,7 +272,7 @@ class StickyCase(Case):
 
     def pair(self, units=SI):
         return PairMaterial(
-            4e7 * units.pascal, 1.2e7 * units.pascal, 1.0, 0.0, properties={"attraction": 20.0 * units.newton}
+            4e7 * units.pascal, 1.2e7 * units.pascal, 1.0, properties={"attraction": 20.0 * units.newton}
         )
 
 

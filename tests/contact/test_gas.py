@@ -174,7 +174,7 @@ def test_without_the_resistance_of_the_solid_the_gas_alone_limits_the_flow():
     solid = SimpleNamespace(
         young_modulus=1e7, poisson_ratio=0.3, thermal_conductivity=2.0, true_young_modulus=None
     )
-    pair = PairMaterial(modulus_eff(solid, solid), 1.0, 0.5, 0.0, materials=(solid, solid))
+    pair = PairMaterial(modulus_eff(solid, solid), 1.0, 0.5, materials=(solid, solid))
     both, gas_only = (
         Conduction(gas=Gas(GAS, GAP, FILM, resists, 1e-3)).pair_constants(pair) for resists in (True, False)
     )

@@ -591,7 +591,7 @@ def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
         young_modulus=1e7, poisson_ratio=0.3, thermal_conductivity=50.0, true_young_modulus=None
     )
     hard = SimpleNamespace(**{**vars(soft), "true_young_modulus": 2e11, "thermal_conductivity": 10.0})
-    pair = PairMaterial(modulus_eff(soft, soft), 1.0, 0.5, 0.0, materials=(soft, hard))
+    pair = PairMaterial(modulus_eff(soft, soft), 1.0, 0.5, materials=(soft, hard))
     true = 1.0 / ((1.0 - 0.09) / 1e7 + (1.0 - 0.09) / 2e11)
     found, overlap_ratio, *_ = Conduction().pair_constants(pair)
     assert found == pytest.approx(2.0 * (2.0 * 500.0 / 60.0) * (0.5e7 / (1.0 - 0.09) / true) ** (1.0 / 3.0))

@@ -32,7 +32,7 @@ def terminal(event):
 def test_thornton_yields_at_the_published_velocity():
     """v_y = 1.56 sqrt(p^5 / (E^4 rho)) for a sphere on a wall (Thornton 1997, Eq. 21)."""
     radius = 0.01
-    pair = PairMaterial(modulus_eff(STEEL, STEEL), 1.0, None, 0.0, yield_strength=STEEL.yield_strength)
+    pair = PairMaterial(modulus_eff(STEEL, STEEL), 1.0, None, yield_strength=STEEL.yield_strength)
     mass = 4.0 / 3.0 * np.pi * radius**3 * STEEL.density
     law = law_of("thornton", pair, yield_ratio=1.6)
     expected = 1.56 * np.sqrt((1.6 * STEEL.yield_strength) ** 5 / (pair.modulus_eff**4 * STEEL.density))
@@ -99,7 +99,7 @@ def test_walton_braun_restitution_follows_the_published_slope():
     k1 = 2e4
     e = 0.6
     reference = 0.7
-    pair = PairMaterial(4e7, SHEAR_MODULUS, e, 0.0)
+    pair = PairMaterial(4e7, SHEAR_MODULUS, e)
     law = law_of("walton_braun", pair, stiffness={"value": k1}, unloading={"reference_velocity": reference})
     omega = np.sqrt(2.0 * k1 / (2.0 * MASS))
     slope = omega * (1.0 / e**2 - 1.0) / reference
@@ -110,7 +110,7 @@ def test_walton_braun_restitution_follows_the_published_slope():
 
 def luding(**settings):
     """The luding model and its pair, with changed settings."""
-    pair = PairMaterial(4e7, SHEAR_MODULUS, 0.6, 0.0)
+    pair = PairMaterial(4e7, SHEAR_MODULUS, 0.6)
     given = {"stiffness": {"value": 2e4}, "plasticity_depth": 0.01, "tension": 0.0}
     return law_of("luding", pair, **(given | settings)), pair
 

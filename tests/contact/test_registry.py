@@ -21,7 +21,7 @@ def law_of(model):
         young_modulus=1e7, poisson_ratio=0.3, thermal_conductivity=50.0, true_young_modulus=None
     )
     pair = PairMaterial(
-        4e7, SHEAR_MODULUS, restitution, 0.3, yield_strength=1e6, properties=options, materials=(solid, solid)
+        4e7, SHEAR_MODULUS, restitution, yield_strength=1e6, properties=options, materials=(solid, solid)
     )
     return model.law.from_scene(ModelRequest(given, (pair,), 1.0, 0.5, energy_budget=True)), pair
 

@@ -82,7 +82,7 @@ def law_and_pair(variant, coefficient=COEFFICIENT, units=SI):
         (number,) = numbers_of(each)
         size = {"length": 1e-5}.get(number.dimension, 1.0)
         options[key] = coefficient * size * scales(units)[number.dimension]
-    pair = PairMaterial(4e7, 1.2e7, 0.5, coefficient, properties=options)
+    pair = PairMaterial(4e7, 1.2e7, 0.5, properties=options)
     return model.law.from_scene(
         ModelRequest(model.options(**given), (pair,), 1.0, 0.5, energy_budget=True)
     ), pair

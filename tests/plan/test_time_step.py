@@ -107,7 +107,7 @@ def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts
     zeta = damping_ratio_for(restitution)
     stiffness = 1e4
     law = Linear(Spring(stiffness, None, 0.0))
-    pair = PairMaterial(1e9, 1e9, restitution, 0.0)
+    pair = PairMaterial(1e9, 1e9, restitution)
     solid = Material(young_modulus=1e9, poisson_ratio=0.25, density=2500.0)
     case = PairCase("pair", ("a", "a"), pair, 1e-3, MASS, 1e-3, 1e-3, solid, contacts)
     allowed = case.stable_step(law, VELOCITY) / 0.99
@@ -130,7 +130,7 @@ def test_stable_step_of_a_sliding_pair_contains_its_rotation():
     A force F moves both surfaces against each other by 2 (F/m + R^2 F/I) = (1 + 5/2) F/M.
     """
     stiffness = 1e6
-    pair = PairMaterial(1e9, 1e9, 1.0, 0.5, has_tangential_force=True, tangential_stiffness=stiffness)
+    pair = PairMaterial(1e9, 1e9, 1.0, has_tangential_force=True, tangential_stiffness=stiffness)
     solid = Material(young_modulus=1e9, poisson_ratio=0.25, density=2500.0)
     case = PairCase("pair", ("a", "a"), pair, 1e-3, MASS, 1e-3, 1e-3, solid, 1)
     expected = 0.99 * 2.0 / math.sqrt(3.5 * stiffness / MASS)

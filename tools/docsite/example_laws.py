@@ -43,9 +43,9 @@ def pair(restitution: float | VelocityRestitution | None = RESTITUTION) -> PairM
         modulus_eff(SOLID, SOLID),
         shear_modulus_eff(SOLID, SOLID),
         restitution,
-        0.5,
         STEEL.yield_strength,
         {
+            "friction": 0.5,
             "rolling_friction": 0.1,
             "rolling_damping": 0.3,
             "rolling_dissipation": 1e-3,

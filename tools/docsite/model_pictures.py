@@ -178,7 +178,7 @@ def _damped_loop() -> str:
 def _cohesion(name: str) -> str:
     """Hertz force minus attraction while a soft sphere is pulled from a wall."""
     figure, (axis,) = _figure(1)
-    material = PairMaterial(MODULUS, 0.3 * MODULUS, 1.0, 0.0, properties=ADHESION)
+    material = PairMaterial(MODULUS, 0.3 * MODULUS, 1.0, properties=ADHESION)
     model = registry.models("cohesion")[name]
     options = model.options(**OPTIONS.get(name, {}))
     law: Any = model.law.from_scene(ModelRequest(options, (material,), 1.0, 0.5, radius_eff_max=RADIUS))

@@ -22,7 +22,6 @@ from granflow.contact.law import (
     in_contact_plane,
     reference_in_contact_plane,
 )
-from granflow.contact.material import PairMaterial
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
     limit_ratio,
@@ -108,10 +107,6 @@ class Mindlin(TangentialLaw):
         return HistoryField("displacement", "tangential displacement", "m", size=3), *(
             dashpot if self.damped else ()
         )
-
-    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Coefficient of sliding friction."""
-        return (pair.friction,)
 
     @ti.func
     def limit(self, constants, contact):

@@ -53,10 +53,6 @@ class SlidingDashpot(TangentialLaw):
         """The ratio of the dashpots."""
         return {"damping": self.damping}
 
-    def pair_constants(self, pair: Any) -> tuple[float, ...]:
-        """Coefficient of sliding friction."""
-        return (pair.friction,)
-
     @ti.func
     def limit(self, constants, contact):
         """Coulomb limit [N]."""

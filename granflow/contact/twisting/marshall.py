@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from granflow.contact.law import ContactModel, ModelRequest, Options, SlidingFriction, SurfaceState
-from granflow.contact.material import PairMaterial
 from granflow.contact.tangential.mindlin import DampingFactor
 from granflow.contact.twisting.torsion_spring import TorsionLaw
 from granflow.device_functions import ti
@@ -42,10 +41,6 @@ class Marshall(TorsionLaw):
     def parameters(self) -> Mapping[str, float]:
         """The ratio of the dashpots."""
         return {"damping": self.damping} if self.dashpot else {}
-
-    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Coefficient of sliding friction."""
-        return (pair.friction,)
 
     @ti.func
     def torsion(self, constants, contact):

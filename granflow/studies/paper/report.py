@@ -129,7 +129,7 @@ def pair_of(case: PaperCase, restitution: Any, strength: float | None = None) ->
     """Material pair of the case for contact models, without friction."""
     shear = shear_modulus_eff(case.solid, case.solid)
     yields = strength or case.solid.yield_strength
-    return PairMaterial(case.modulus_eff, shear, restitution, 0.0, yield_strength=yields)
+    return PairMaterial(case.modulus_eff, shear, restitution, yield_strength=yields)
 
 
 def theoretical_restitution(law: Any, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
