@@ -717,10 +717,7 @@ def load_sums(state: State, saved: Mapping[str, np.ndarray]) -> None:
 def saved_wall_dynamics(state: State) -> dict[str, Any]:
     """Keys of the force-controlled motions, and their arrays, forces summed over the chunks."""
     found: dict[str, Any] = {"controlled_motions": [each.key for each in state.plan.controlled_motions]}
-    for name, array in _dynamics(state.plan).items():
-        values = getattr(state.wall_dynamics, name).to_numpy()
-        found[name] = values.sum(axis=0) if array.by_chunk else values
-    return found
+    return found | _saved_fields(state.wall_dynamics, _dynamics(state.plan))
 
 
 def load_wall_dynamics(state: State, saved: Mapping[str, Any]) -> None:
@@ -734,24 +731,29 @@ def load_wall_dynamics(state: State, saved: Mapping[str, Any]) -> None:
             "can change the parameters of such a motion but not add or remove one; use stages for "
             "that.".format(*named)
         )
-    for name, array in _dynamics(state.plan).items():
-        _load(getattr(state.wall_dynamics, name), array, saved[name])
+    _load_fields(state.wall_dynamics, _dynamics(state.plan), saved)
 
 
 def saved_deformation(state: State) -> dict[str, np.ndarray]:
     """Arrays of the deforming box, its sums over the chunks; empty with constant widths."""
-    if state.deformation is None:
-        return {}
-    arrays = saved_arrays(deformation_arrays(state.plan))
-    values = {name: getattr(state.deformation, name).to_numpy() for name in arrays}
-    return {name: each.sum(axis=0) if arrays[name].by_chunk else each for name, each in values.items()}
+    return _saved_fields(state.deformation, _deformation(state.plan))
 
 
 def load_deformation(state: State, saved: Mapping[str, np.ndarray]) -> None:
     """Restore what `saved_deformation` returned."""
-    if state.deformation is not None:
-        for name, array in saved_arrays(deformation_arrays(state.plan)).items():
-            _load(getattr(state.deformation, name), array, saved[name])
+    _load_fields(state.deformation, _deformation(state.plan), saved)
+
+
+def _saved_fields(owner: Any, arrays: Mapping[str, DeviceArray]) -> dict[str, np.ndarray]:
+    """Values of the fields of `owner` with the names of the arrays; sums over the chunks."""
+    values = {name: getattr(owner, name).to_numpy() for name in arrays}
+    return {name: each.sum(axis=0) if arrays[name].by_chunk else each for name, each in values.items()}
+
+
+def _load_fields(owner: Any, arrays: Mapping[str, DeviceArray], saved: Mapping[str, np.ndarray]) -> None:
+    """Write what `_saved_fields` returned."""
+    for name, array in arrays.items():
+        _load(getattr(owner, name), array, saved[name])
 
 
 def refuse_other_arrays(saved: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -789,6 +791,11 @@ def _sums(plan: Plan) -> dict[str, DeviceArray]:
 def _dynamics(plan: Plan) -> dict[str, DeviceArray]:
     """Saved arrays of the force-controlled walls by name; empty without such walls."""
     return saved_arrays(wall_dynamics_arrays(plan)) if plan.controlled_motions else {}
+
+
+def _deformation(plan: Plan) -> dict[str, DeviceArray]:
+    """Saved arrays of the deforming box by name; empty with constant widths."""
+    return saved_arrays(deformation_arrays(plan)) if plan.features.deforming_box else {}
 
 
 # Particles of a checkpoint on the host, in the order of their ids.
