@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from granflow.engine.clumps import body_positions, mass_shares
+from granflow.engine.clumps import mass_shares
 from granflow.engine.host import copy_to_host, write_particles
+from granflow.engine.selection import PresentParticles
 from granflow.engine.state import State
 from granflow.engine.sums import exact_sum
 from granflow.engine.totals import Accounting, capacity_of
@@ -20,28 +21,21 @@ def apply_settings(state: State, accounting: Accounting, settings: Sequence[Stag
 
     Returns the number of particles, of all ranks, to which each setting applies. All ranks call this.
     """
-    groups = [group.name for group in state.plan.groups]
-    arrays = copy_to_host(state, ("id", "position", "mass", "clump", "clump_position", "clump_mass"))
-    group = accounting.by_id("group", arrays["id"])
-    points = state.periodic_box.wrap(body_positions(arrays).astype(float))
-    share = mass_shares(arrays)
+    particles = PresentParticles(state, accounting, ("mass", "clump_mass"))
+    share = mass_shares(particles.arrays)
     sources = [source.name for source in state.plan.sources.values()]
     counts = []
     for setting in settings:
-        chosen = np.ones(len(group), bool)
-        if setting.groups is not None:
-            chosen &= np.isin(group, [groups.index(name) for name in setting.groups])
-        if setting.region is not None:
-            chosen &= setting.region.distance(points) <= 0.0
+        chosen = particles.chosen(setting.groups, setting.region)
         indices = np.flatnonzero(chosen)
         for name, value in setting.values.items():
-            held = state.plan.held_values.get(name, (None,) * len(groups))
-            free = np.array([each is None for each in held])[group[indices]]
+            held = state.plan.held_values.get(name, (None,) * len(state.plan.groups))
+            free = np.array([each is None for each in held])[particles.group[indices]]
             values = np.full(len(indices), value)
             if name in sources:  # that of a clump is released in its spheres
                 values *= share[indices]
             set_property(state, accounting, name, indices[free], values[free])
-        counts.append(int(state.ranks.total(np.array([[len(indices)]]))[0][0]))
+        counts.append(particles.count_on_all_ranks(chosen))
     return counts
 
 

@@ -3,8 +3,6 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-import numpy as np
-
 from granflow.scene.blocks.particle_regions import ParticleRegion
 from granflow.schema.faults import Fault, whole
 from granflow.schema.model import Model, Names, optional
@@ -41,18 +39,6 @@ class StageDeletion(Model):
         "all",
         examples=[0.1],
     )
-
-    def is_in_region(self, center: np.ndarray, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """Whether the given part of n spheres is in the region (n,).
-
-        center, position:  (n, 3) [m]; the center is that of the clump, if a sphere is in one
-        radius:            (n,) [m]
-        """
-        if self.region is None:
-            return np.ones(len(radius), bool)
-        if self.part in (None, "center"):
-            return np.asarray(self.region.distance(center) <= 0.0)
-        return np.asarray(self.region.distance(position) <= (radius if self.part == "any" else -radius))
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for a deletion without any key, and for a part of no region."""
