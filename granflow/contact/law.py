@@ -218,7 +218,7 @@ class Law(DeviceObject):
     @property
     def at_distance(self) -> bool:
         """Whether the model acts without overlap, as a liquid bridge; models of cohesion and of flows can."""
-        return False
+        return self.range > 0.0
 
     @property
     def range(self) -> float:

@@ -99,11 +99,11 @@ class Flows:
             ]
             self.surroundings_read = self._fields(("radius", *law.particle_properties))
             self.surroundings_sums = self._sums_of(law.flows)
-        self.held = [
-            (state.walls.values[equation.name][1], self._sums_of(equation.flows))
+        self.held = {
+            equation.name: (state.walls.values[equation.name][1], self._sums_of(equation.flows))
             for equation in state.plan.scene.equations
             if equation.name in state.plan.held_values
-        ]
+        }
         self.equations = [
             (
                 equation,
@@ -113,7 +113,6 @@ class Flows:
             )
             for equation in state.plan.scene.equations
         ]
-        self.held_names = list(state.plan.held_values)
 
     def _fields(self, names: Any) -> list[tuple[str, Any]]:
         """Fields of the particles with their names."""
@@ -359,8 +358,8 @@ class Flows:
                 {name: self._flow_of_body(i, dt, name, field) for name, field in ti.static(sums)}
             )
             change = ti.cast(dt * equation.rate(constants, particle, found), values.dtype)
-            if ti.static(equation.name in self.held_names):
-                if self._is_held(i, self.walls.values[equation.name][1]):
+            if ti.static(equation.name in self.held):
+                if self._is_held(i, self.held[equation.name][0]):
                     change = 0.0 * change
             changed = values[i] + change
             values[i] = changed
@@ -384,7 +383,7 @@ class Flows:
         Reads:   attached_to, the sums
         Writes:  wall_flows, wall_flows_ahead, loss_heat, loss_heat_ahead
         """
-        for given, sums in ti.static(self.held):
+        for given, sums in ti.static(list(self.held.values())):
             if self._is_held(i, given):
                 w = self.particles.attached_to[i]
                 for name, field, _ in ti.static(sums):

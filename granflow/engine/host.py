@@ -608,8 +608,8 @@ def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int)
             for name in plan.initial_sources:
                 arrays[name][own] *= body.volume_share[member[own]]
             if "liquid_film" in arrays:
-                shares = body.volume * body.volume_share[member[own]]
-                arrays["liquid_film"][own] = _films(plan, new.group[row[own]], shares)
+                volumes = body.sphere_volumes[member[own]]
+                arrays["liquid_film"][own] = _films(plan, new.group[row[own]], volumes)
     return arrays | _motion_of_spheres(arrays)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from granflow.contact.particle_equation import ParticleEquation
-from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
+from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, body_positions, of_clumps
 from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
 from granflow.engine.deformation import deformation_totals, deformation_work
 from granflow.engine.flows import wall_flow_totals
@@ -111,10 +111,15 @@ class Accounting:
             self.exits[name] += int((faces == index).sum())
 
     def change_contents(self, plan: Plan, change: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add the contents of particles to one of CONTENT_CHANGES; arrays as for `content_of`."""
+        """Add the contents of particles to one of CONTENT_CHANGES.
+
+        arrays:  as for `contents_of`; of particles that are inserted without loss_heat
+        """
         for equation in plan.scene.equations:
             if equation.content is not None:
-                self.contents[equation.content_change(change).name] += content_of(plan, equation, arrays)
+                capacity = capacity_of(plan, equation, arrays)
+                name = equation.content_change(change).name
+                self.contents[name] += _content(plan, equation, capacity, arrays)
 
     def count_removed(self, mass: np.ndarray) -> None:
         """Count particles with these masses (k,) [kg] that are removed from Python.
@@ -441,21 +446,27 @@ def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) 
     for equation in plan.scene.equations:
         if equation.content is None:
             continue
-        content = content_of(plan, equation, arrays, ranks)
-        total = exact_sum(capacity_of(plan, equation, arrays), ranks)
+        capacity = capacity_of(plan, equation, arrays)
+        content = _content(plan, equation, capacity, arrays, ranks)
+        total = exact_sum(capacity, ranks)
         mean, content_total, *_ = equation.totals
         found |= {mean.name: content / total if total else np.nan, content_total.name: content}
     return found
 
 
-def content_of(
-    plan: Plan, equation: ParticleEquation, arrays: Mapping[str, np.ndarray], ranks: Gathering = ALONE
+def _content(
+    plan: Plan,
+    equation: ParticleEquation,
+    capacity: np.ndarray,
+    arrays: Mapping[str, np.ndarray],
+    ranks: Gathering = ALONE,
 ) -> float:
     """Content of the particles, such as their heat [J], with that of losses which the next step adds.
 
-    arrays:  as for `contents_of`; of particles that are inserted without loss_heat
+    capacity:  (n,), see `capacity_of`
+    arrays:    as for `contents_of`; of particles that are inserted without loss_heat
     """
-    content = exact_sum(capacity_of(plan, equation, arrays) * arrays[equation.name], ranks)
+    content = exact_sum(capacity * arrays[equation.name], ranks)
     law = plan.laws.of_losses
     if law is not None and law.loss_flow in equation.flows and "loss_heat" in arrays:
         present = arrays["loss_heat"].astype(object).sum()
@@ -656,7 +667,7 @@ def account_deleted(
     if removed.any() and not counts_removed:
         arrays = {name: values[~removed] for name, values in arrays.items()}
         removed = removed[~removed]
-    position = of_clumps(arrays)["position"].astype(float)
+    position = body_positions(arrays).astype(float)
     outlet_index = np.where(removed, -1, _outlets_of(state.plan, position))
     left_domain = (outlet_index < 0) & ~removed
     aborts = left_domain

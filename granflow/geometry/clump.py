@@ -58,6 +58,11 @@ class ClumpBody:
         return np.asarray(self.radius**3 / np.sum(self.radius**3))
 
     @property
+    def sphere_volumes(self) -> np.ndarray:
+        """Share (k,) of each sphere in the volume of the clump [m3]."""
+        return self.volume * self.volume_share
+
+    @property
     def volume_over_spheres(self) -> float:
         """Volume of the clump over the sum of the volumes of its spheres, below 1 if they overlap."""
         return self.volume / float(np.sum(sphere_volume(self.radius)))

@@ -75,7 +75,7 @@ def of_bodies(
             member = particles["id"][rows] - particles["clump"][rows]
             rotation = matrices(particles["orientation"][rows].astype(float))
             arm[rows] = np.einsum("nij,nj->ni", rotation, shape.body.offset[member])
-            volume[rows] = shape.body.volume * shape.body.volume_share[member]
+            volume[rows] = shape.body.sphere_volumes[member]
     turning = np.cross(particles["angular_velocity"].astype(float), arm)
     position = particles["position"].astype(float) - arm
     velocity = particles["velocity"].astype(float) - turning

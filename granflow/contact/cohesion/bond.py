@@ -29,11 +29,6 @@ class BondLaw(CohesionLaw):
     energy_budget: bool
 
     @property
-    def at_distance(self) -> bool:
-        """A bond holds separated surfaces."""
-        return True
-
-    @property
     def range(self) -> float:
         """Slightly above the largest rupture distance, so that every bond breaks within the range."""
         return 1.001 * self.bond_range

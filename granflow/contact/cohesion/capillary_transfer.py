@@ -76,11 +76,6 @@ class CapillaryTransfer(CohesionLaw):
         )
 
     @property
-    def at_distance(self) -> bool:
-        """A bridge holds separated surfaces."""
-        return True
-
-    @property
     def range(self) -> float:
         """Slightly above the largest rupture distance, so that every bridge breaks within the range."""
         return 1.001 * self.bridge_range

@@ -39,11 +39,6 @@ class VanDerWaals(CohesionLaw):
         return cls(CUTOFF * max(pair.properties["separation"] for pair in request.pairs))
 
     @property
-    def at_distance(self) -> bool:
-        """It attracts separated surfaces."""
-        return True
-
-    @property
     def range(self) -> float:
         """The largest cut-off [m]."""
         return self.largest_cutoff

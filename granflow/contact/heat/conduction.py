@@ -130,11 +130,6 @@ class Conduction(HeatLaw):
         return {**super().parameters, **surroundings, **self.gas.parameters}
 
     @property
-    def at_distance(self) -> bool:
-        """Heat flows across small gaps through gas."""
-        return self.gas.is_present
-
-    @property
     def range(self) -> float:
         """Largest gap [m] across which heat flows: the film of the largest particle."""
         return self.gas.reach

@@ -16,6 +16,8 @@ from pydantic import Field, Tag
 
 from granflow.geometry.motion import rotation_matrices
 from granflow.scene.blocks.motions import (
+    AngularFrequency,
+    Frequency,
     RockingRotation,
     SteadyRotation,
     TimedMotion,
@@ -73,10 +75,8 @@ class GravityVibration(TimedMotion):
     amplitude: q.AccelerationVector = Field(
         description="amplitude of the acceleration [m/s2]", examples=[[0, 0, "20 m/s2"]]
     )
-    frequency: q.Frequency | None = Field(None, description="frequency [Hz]", examples=["25 Hz"])
-    angular_frequency: q.PositiveAngularVelocity | None = Field(
-        None, description="angular frequency [rad/s], instead of frequency", examples=["157 rad/s"]
-    )
+    frequency: Frequency = None
+    angular_frequency: AngularFrequency = None
     phase: q.Angle = Field(0.0, description="phase at the start [rad]", examples=["90 deg"])
 
     def faults(self) -> Iterator[Fault]:

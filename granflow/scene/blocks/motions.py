@@ -218,6 +218,14 @@ class TimedMotion(Model):
             yield missing(("ramp_duration",), f"the time during which initial_{name} changes to {name}")
 
 
+Frequency = Annotated[q.Frequency | None, Field(description="frequency [Hz]", examples=["5 Hz"])]
+AngularFrequency = Annotated[
+    q.PositiveAngularVelocity | None,
+    Field(description="angular frequency [rad/s], instead of frequency", examples=["31.4 rad/s"]),
+]
+"""Keys of the motions that are sinusoidal in time; one of them is given."""
+
+
 def sinusoid(
     amplitude: float, rate: float, phase: float, elapsed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -264,10 +272,8 @@ class Vibration(TimedMotion):
     amplitude: q.UnscaledLength | None = Field(
         None, description="amplitude, half of the peak-to-peak value [m]", examples=["1 mm"]
     )
-    frequency: q.Frequency | None = Field(None, description="frequency [Hz]", examples=["25 Hz"])
-    angular_frequency: q.PositiveAngularVelocity | None = Field(
-        None, description="angular frequency [rad/s]", examples=["157 rad/s"]
-    )
+    frequency: Frequency = None
+    angular_frequency: AngularFrequency = None
     gamma: q.Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
     phase: q.Angle = Field(
         0.0,
@@ -555,10 +561,8 @@ class RockingRotation(TimedMotion):
     amplitude: q.Angle = Field(
         description="amplitude, half of the angle from end to end [rad]", examples=["30 deg"]
     )
-    frequency: q.Frequency | None = Field(None, description="frequency [Hz]", examples=["0.5 Hz"])
-    angular_frequency: q.PositiveAngularVelocity | None = Field(
-        None, description="angular frequency [rad/s], instead of frequency", examples=["3 rad/s"]
-    )
+    frequency: Frequency = None
+    angular_frequency: AngularFrequency = None
     phase: q.Angle = Field(
         0.0,
         description="phase at the start [rad]; 0: it starts at full rate from the center",
