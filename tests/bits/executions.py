@@ -1,8 +1,10 @@
 """Executes the scenes of `scenes` in one of several ways, and saves what a run leaves behind.
 
-    python executions.py host|gpu|long|forked|ranks FOLDER SCENE ...
+    python executions.py host|usual|gpu|long|forked|ranks FOLDER SCENE ...
 
-host:   one thread, two threads, more threads than the pool has, other chunks and skin, resumed from three checkpoints
+host:   one worker, two workers, more workers than the pool has threads, other chunks and skin, resumed from three
+        checkpoints
+usual:  those of `host` that find most errors
 gpu:    the code path of a GPU on the CPU, with fields in several trees
 long:   with the kernels that are compiled for long runs
 forked: with the kernel language Quadrants, which `test_bits` selects
@@ -14,6 +16,7 @@ FOLDER/EXECUTION/SCENE contains the files of each run and `state.npz`, its state
 import os
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +38,11 @@ RESUMED = ("resumed_1", "resumed_4", "resumed_8")
 HOST = ("one", "two", "lists", "begun", *RESUMED, "pool")
 """Executions of `host` in their order, the reference first; `begun` continues a run that was stopped before
 its first step."""
+USUAL = ("one", "two", "lists", "begun", "resumed_4")
+"""Executions of the usual test run."""
+FOR_CHANGE = ("one", "two", "lists", RESUMED[-1], "pool")
+"""Executions of a scene with a change, which the earlier checkpoints do not contain."""
+SINGLE_WORKER_PARTICLES = threads.SINGLE_WORKER_PARTICLES
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
 """Number of workers that exceeds the number of threads in Taichi's pool."""
 
@@ -47,23 +55,34 @@ def main(execution, folder, names):
         KINDS[execution](name, Path(folder))
 
 
-def on_host(name, folder):
+def host_executions(name, usual=False):
+    """Executions of a scene in `host`, or in `usual`, in their order."""
+    if SCENES[name].change is not None:
+        return FOR_CHANGE
+    return USUAL if usual else HOST
+
+
+def on_host(name, folder, usual=False):
     row = SCENES[name]
-    run(name, folder / "one", row.build(), 1)
-    threads.SINGLE_WORKER_PARTICLES = 0  # scenes of this size use one worker by default
+    executions = host_executions(name, usual)
+    threads.SINGLE_WORKER_PARTICLES = SINGLE_WORKER_PARTICLES  # above the number of particles
+    run(name, folder / "one", row.build(), 2)
+    threads.SINGLE_WORKER_PARTICLES = 0
     run(name, folder / "two", row.build(), 2)
     scene = row.build()
     deletes = scene.outlets or scene.domain.on_exit == "delete"
     skin = None if deletes else 6e-4  # particles are deleted at rebuilds
     run(name, folder / "lists", with_lists(scene, 7, skin), 2)
-    if row.change is None:
+    if "begun" in executions:
         begin(name, folder)
-    for execution in RESUMED if row.change is None else RESUMED[-1:]:  # a checkpoint contains earlier changes
-        resume(name, folder, execution)
-    count = backend.worker_count
-    backend.worker_count = lambda requested: (requested, "")
-    run(name, folder / "pool", row.build(), MORE_THAN_POOL)
-    backend.worker_count = count
+    for execution in RESUMED:
+        if execution in executions:
+            resume(name, folder, execution)
+    if "pool" in executions:
+        count = backend.worker_count
+        backend.worker_count = lambda requested: (requested, "")
+        run(name, folder / "pool", row.build(), MORE_THAN_POOL)
+        backend.worker_count = count
 
 
 def on_gpu(name, folder):
@@ -150,7 +169,14 @@ def save(out, simulation):
     simulation.free()
 
 
-KINDS = {"host": on_host, "gpu": on_gpu, "long": for_long, "forked": with_fork, "ranks": on_ranks}
+KINDS = {
+    "host": on_host,
+    "usual": partial(on_host, usual=True),
+    "gpu": on_gpu,
+    "long": for_long,
+    "forked": with_fork,
+    "ranks": on_ranks,
+}
 
 if __name__ == "__main__":
     main(sys.argv[1], sys.argv[2], sys.argv[3:])

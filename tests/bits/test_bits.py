@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rank_launcher
-from bits.executions import HOST, RESUMED
+from bits.executions import RESUMED, host_executions
 from bits.scenes import QUICK, SCENES
 from resume.runs import files_of, states_of
 
@@ -40,12 +40,13 @@ def execute(kind, folder, scenes):
     assert done.returncode == 0, done.stderr[-3000:]
 
 
-def execute_on_host(folder, scenes):
-    """Run scenes in the executions of `host`, unless a test process has done it."""
+def execute_on_host(folder, scenes, kind):
+    """Run scenes in the executions of `host` or `usual`, unless a test process has done it."""
+    last = host_executions(scenes[-1], kind == "usual")[-1]
     with open(folder / f"lock_{scenes[0]}", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / HOST[-1] / scenes[-1] / "state.npz").exists():
-            execute("host", folder, scenes)
+        if not (folder / last / scenes[-1] / "state.npz").exists():
+            execute(kind, folder, scenes)
 
 
 def loaded(path):
@@ -79,15 +80,9 @@ def assert_effects(folder, scene):
     assert all(found[f"totals.{name}"] != 0.0 for name in SCENES[scene].effects), scene
 
 
-def assert_same_bits(folder, scenes, executions):
-    found = {
-        (scene, execution): differences(folder, execution, scene)
-        for scene in scenes
-        for execution in executions
-        if (folder / execution / scene).exists()
-    }
-    assert len(found) >= len(scenes)
-    assert not {key: names for key, names in found.items() if names}
+def assert_same_bits(folder, scene, executions):
+    found = {execution: differences(folder, execution, scene) for execution in executions}
+    assert found and not {key: names for key, names in found.items() if names}, scene
 
 
 def skip_if_missing(kind):
@@ -98,44 +93,40 @@ def skip_if_missing(kind):
         pytest.skip("needs Quadrants: pip install quadrants")
 
 
-def check_host(folder, scenes):
-    """Threads, more workers than threads of the pool, other lists, and runs resumed from checkpoints."""
-    execute_on_host(folder, scenes)
+def check_host(folder, scenes, kind):
+    """Workers, more of them than threads of the pool, other lists, and runs resumed from checkpoints."""
+    execute_on_host(folder, scenes, kind)
     for scene in scenes:
+        _one, *others = host_executions(scene, kind == "usual")
         assert_effects(folder, scene)
-    assert_same_bits(folder, scenes, HOST[1:])
-    for scene in scenes:
+        assert_same_bits(folder, scene, others)
         whole = states_of(folder / "one" / scene)
         assert len(whole) >= 10
-        assert states_of(folder / RESUMED[-1] / scene) == whole
+        (last_resumed,) = [each for each in others if each in RESUMED][-1:]
+        assert states_of(folder / last_resumed / scene) == whole
 
 
-def check_kind(folder, kind, scenes):
-    """Another kind of execution than those of `host`."""
-    execute(kind, folder, scenes)
-    execute_on_host(folder, list(QUICK) if scenes[0] in QUICK else scenes)
-    assert_same_bits(folder, scenes, [kind])
+def check_kind(folder, kind, scene):
+    """Another kind of execution than those of `host`, which have been run."""
+    execute(kind, folder, [scene])
+    assert_same_bits(folder, scene, [kind])
     if kind == "gpu":
-        strides = {int(loaded(folder / each / scenes[0])["stride"]) for each in ("one", "gpu")}
+        strides = {int(loaded(folder / each / scene)["stride"]) for each in ("one", "gpu")}
         assert len(strides) == 2, "the code paths differ"
 
 
 def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
-    check_host(folder, list(QUICK))
+    check_host(folder, list(QUICK), "usual")
 
 
-OTHER_KERNELS = {
-    "gpu": ["clumps"],
-    "long": ["heat"],
-    "forked": ["walls"],
-    "ranks": ["heat"],
-}
-"""Scenes of the usual test run by kind of execution that compiles other kernels."""
+OTHER_KERNELS = {"gpu": "clumps", "long": "heat", "forked": "walls", "ranks": "heat"}
+"""Scene of the usual test run by kind of execution that compiles other kernels."""
 
 
 @pytest.mark.parametrize("kind", OTHER_KERNELS)
 def test_other_kernels_give_the_same_bits(folder, kind):
     skip_if_missing(kind)
+    execute_on_host(folder, list(QUICK), "usual")
     check_kind(folder, kind, OTHER_KERNELS[kind])
 
 
@@ -145,7 +136,10 @@ def test_other_kernels_give_the_same_bits(folder, kind):
 @pytest.mark.parametrize("kind", ["host", *OTHER_KERNELS])
 def test_each_scene_has_the_same_bits(folder, scene, kind):
     skip_if_missing(kind)
+    folder = folder / "each"
+    folder.mkdir(exist_ok=True)
     if kind == "host":
-        check_host(folder, [scene])
+        check_host(folder, [scene], kind)
     elif kind != "ranks" or SCENES[scene].on_ranks:
-        check_kind(folder, kind, [scene])
+        execute_on_host(folder, [scene], "host")
+        check_kind(folder, kind, scene)
