@@ -29,12 +29,12 @@ def drifting_rod():
     return last.particles["clump_position"][0, 0] - 0.1, last.time, rebuilds
 
 
-def kinds_of_warnings_at_rest(precision):
+def kinds_of_warnings_at_rest(precision, **parts):
     """Kinds of warnings for particles released at height: no motion yet, potential energies with rounding
     errors."""
     beads = particle_group([[0.0137 * k, 0.0, 0.731] for k in range(5)], 0.0093)
     run = {"duration": 1e-3, "velocity_max": 1.0, "precision": precision}
-    parts = {"run": run, "numerics": {"chunk_size": 16}}
+    parts |= {"run": run, "numerics": {"chunk_size": 16}}
     return list(warnings_of(build_scene({"beads": beads}, gravity=[0.0, 0.0, -9.81], **parts)))
 
 
@@ -78,9 +78,12 @@ def flight(height):
     """
     ball = particle_group([[0.0, 0.0, height]], velocity=[0.0, 0.0, 400.0])
     domain = {"min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, height + 0.1], "on_exit": "expand"}
-    run = {"duration": 0.01, "time_step": 2e-6, "precision": "f32"}
+    parts = {
+        "run": {"duration": 0.01, "time_step": 2e-6, "precision": "f32"},
+        "numerics": {"chunk_size": 16},
+    }
     try:
-        with Simulation(build_scene({"ball": ball}, domain=domain, run=run)) as simulation:
+        with Simulation(build_scene({"ball": ball}, domain=domain, **parts)) as simulation:
             simulation.run()
     except RunError as error:
         return str(error)
@@ -88,7 +91,8 @@ def flight(height):
 
 
 def single_precision_and_gpu_code_path():
-    found = kinds_of_warnings_at_rest("f32"), flight(8186.0), flight(8191.0)
+    expanding = {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "expand"}  # the structure of `flight`
+    found = kinds_of_warnings_at_rest("f32", domain=expanding), flight(8186.0), flight(8191.0)
     backend.Backend.on_cpu = property(lambda self: False)
     return *found, messages_about_the_limit("f32", 1), pressures_of_a_box("f32")
 

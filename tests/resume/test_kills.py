@@ -83,9 +83,9 @@ def assert_complete(out, whole):
     assert (out / "run.log").stat().st_size > 0
 
 
-def signalled(home, frame, number, *arguments):
-    """Exit code and last message of a process that receives a signal as soon as a frame exists."""
-    path = home / "out" / f"particles_{frame:04d}.vtu"
+def signalled(home, out, frame, number, *arguments):
+    """Exit code and last message of a process that receives a signal as soon as a frame of `out` exists."""
+    path = out / f"particles_{frame:04d}.vtu"
     running = subprocess.Popen(
         [sys.executable, "-m", "granflow", *arguments], cwd=home, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, preexec_fn=restore_interrupts,
@@ -100,24 +100,36 @@ def signalled(home, frame, number, *arguments):
     return running.returncode, message
 
 
-def test_run_ended_by_signals_resumes_bit_identically(home, whole):
+@pytest.mark.parametrize(
+    "stops",
+    [
+        pytest.param([(8, signal.SIGINT, 130)], id="int"),
+        pytest.param(
+            [(8, signal.SIGINT, 130), (13, signal.SIGTERM, 143)], id="int_term", marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_run_ended_by_signals_resumes_bit_identically(home, whole, stops):
     """SIGKILL, SIGINT and SIGTERM at 16, 32 and 52 of 80 ms; after SIGINT and SIGTERM all files are complete.
 
     At last the system time jumps by hours, the output goes into a closed pipe, and HOME is not a directory.
     """
-    out = home / "out"
-    assert signalled(home, 4, signal.SIGKILL, "run", "beads.yaml", "--out", "out")[0] == -signal.SIGKILL
-    for frame, number, code in ((8, signal.SIGINT, 130), (13, signal.SIGTERM, 143)):
-        found, message = signalled(home, frame, number, "resume", "out")
+    name = f"out{len(stops)}"
+    out = home / name
+    killed, _ = signalled(home, out, 4, signal.SIGKILL, "run", "beads.yaml", "--out", name)
+    assert killed == -signal.SIGKILL
+    for frame, number, code in stops:
+        found, message = signalled(home, out, frame, number, "resume", name)
         assert found == code
-        assert re.search(r"stopped at .* s; granflow resume out continues. out contains the run up", message)
+        continues = rf"stopped at .* s; granflow resume {name} continues. {name} contains the run up"
+        assert re.search(continues, message)
         assert not [path.name for path in out.iterdir() if path.name.endswith(".part")]
         frames = len([*out.glob("particles_*.vtu")])
         assert (out / "particles.pvd").read_text().count("particles_") == frames > frame
         assert not (out / "result.json").exists()
     reading, closed_pipe = os.pipe()
     os.close(reading)
-    command = [sys.executable, FAULT_INJECTION, "clock", "-", "resume", "out"]
+    command = [sys.executable, FAULT_INJECTION, "clock", "-", "resume", name]
     variables = os.environ | {"HOME": "/dev/null"}
     assert subprocess.call(command, cwd=home, stdout=closed_pipe, stderr=closed_pipe, env=variables) == 0
     os.close(closed_pipe)
