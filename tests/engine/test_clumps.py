@@ -59,7 +59,7 @@ def small_scene(groups, floor=-0.9, **parts):
 
 def test_clumps_fall_as_rigid_bodies_and_their_energy_budget_closes(taichi_f64):
     """Distances within each clump are those of the given positions, although its spheres overlap by half."""
-    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, contacts=True, threads=1)
+    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, contacts=True, threads=2)
     last = snapshots[-1]
     assert_fields_of_bodies(last, falling_clumps())
     particles = last.particles
@@ -130,7 +130,7 @@ def test_start_from_takes_clumps_with_their_orientation_and_motion(taichi_f64, t
         groups, gravity=[0.0, 0.0, -9.81], run={"duration": 0.02, "velocity_max": 2.0},
         output={"interval": 1.0, "energy_budget": True, "metrics": {"all": everywhere}},
     )  # fmt: skip
-    with Simulation(scene, threads=1, out=tmp_path / "first") as simulation:
+    with Simulation(scene, threads=2, out=tmp_path / "first") as simulation:
         result = simulation.run()
         last = simulation.snapshot()
     volume = 2.0 * sum(group.shape.body.volume for group in scene.particles.values())
@@ -138,7 +138,7 @@ def test_start_from_takes_clumps_with_their_orientation_and_motion(taichi_f64, t
     in_file = read_run(tmp_path / "first").frames[-1].particles
     assert in_file["mass"] == pytest.approx(last.particles["mass"], rel=1e-6), "radii are float32 in files"
     after = scene.to_dict() | {"start_from": str(tmp_path / "first")}
-    with Simulation(Scene.from_dict(after), threads=1) as simulation:
+    with Simulation(Scene.from_dict(after), threads=2) as simulation:
         first = simulation.snapshot()
         assert simulation.engine.rest_state().unbalanced == pytest.approx(1.0), "no wall carries the weight"
     for name in ("position", "velocity", "angular_velocity", "clump_velocity", "clump_angular_momentum"):
@@ -149,7 +149,7 @@ def test_start_from_takes_clumps_with_their_orientation_and_motion(taichi_f64, t
         "rods has clumps of 3 spheres, but start_from has other ones, clumps of 4 spheres; give the group"
     )
     with pytest.raises(SceneError, match=message):
-        Simulation(Scene.from_dict(after), threads=1)
+        Simulation(Scene.from_dict(after), threads=2)
 
 
 def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
@@ -164,7 +164,7 @@ def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
         groups, floor=0.0, gravity=[0.0, 0.0, -9.81],
         run={"duration": 0.05, "velocity_max": 1.5, "time_step": 5e-6},
     )  # fmt: skip
-    last, _ = run_to_end(scene, threads=1)
+    last, _ = run_to_end(scene, threads=2)
     found = last.particles
     assert abs(found["angular_velocity"][0] - motion["angular_velocity"]).max() > 10.0, "friction has acted"
     assert found["position"][1] - [0, 0.5, 0] == pytest.approx(found["position"][0], rel=1e-9, abs=1e-12)
@@ -192,7 +192,7 @@ def test_fixed_clumps_act_as_fixed_spheres(taichi_f64):
             falling | {"base": base | {"fixed": True}}, gravity=[0.0, 0.0, -9.81],
             run={"duration": 0.02, "velocity_max": 2.0}, output={"interval": 1.0, "energy_budget": True},
         )  # fmt: skip
-        found.append(run_to_end(scene, threads=1)[0])
+        found.append(run_to_end(scene, threads=2)[0])
     clumps, others = found
     base = clumps.particles["group"] == 2
     for name in ("velocity", "angular_velocity", "clump_velocity", "clump_angular_momentum"):
@@ -223,7 +223,7 @@ def test_outlets_delete_whole_clumps(taichi_f64):
         groups, gravity=[0.0, 0.0, -9.81], outlets={"out": {"box": {"min": [-1, -1, -1], "max": [1, 1, 0]}}},
         run={"duration": 0.08, "velocity_max": 2.0},
     )  # fmt: skip
-    snapshots = run_and_sample(scene, 0.002, threads=1)
+    snapshots = run_and_sample(scene, 0.002, threads=2)
     counts = [each.totals["particle_count"] for each in snapshots]
     assert sorted(set(counts), reverse=True) == [8.0, 4.0]
     last = snapshots[-1]
@@ -240,7 +240,7 @@ def test_an_abort_names_the_clumps(taichi_f64):
         f"rod_{material}": clump_group([[0.0, y, 0.0]], material=material)
         for material, y in (("glass", 0.0), ("steel", 3.5e-3))
     }
-    with Simulation(small_scene(rods), threads=1) as simulation:
+    with Simulation(small_scene(rods), threads=2) as simulation:
         overlap = r"particle \d of clump [04] \(.*overlaps with particle \d of clump [04] \("
         with pytest.raises(RunError, match=overlap):
             simulation.run()
@@ -264,8 +264,8 @@ def free_scene(**parts):
 
 def test_programs_remove_clumps_and_change_single_spheres(taichi_f64):
     """The clumps that remain continue their motion, and the energy budget has the change."""
-    whole, _ = run_to_end(free_scene(), threads=1)
-    with Simulation(free_scene(), threads=1) as simulation:
+    whole, _ = run_to_end(free_scene(), threads=2)
+    with Simulation(free_scene(), threads=2) as simulation:
         simulation.run(until=0.01)
         particles = simulation.particles
         for name, values in (("velocity", 1.0), ("position", 0.3), ("diameter", 0.0045), ("group", "balls")):
@@ -293,7 +293,7 @@ def test_programs_remove_clumps_and_change_single_spheres(taichi_f64):
 def test_particles_from_python_with_orientations_are_those_of_the_scene(taichi_f64):
     scene = free_scene()
     given = initial_particles(scene)
-    with Simulation(scene, threads=1) as simulation:
+    with Simulation(scene, threads=2) as simulation:
         first = simulation.snapshot()
         simulation.run(until=0.001)
         simulation.restart(given)
@@ -330,7 +330,7 @@ def test_forces_from_python_turn_clumps_and_do_work_on_them(taichi_f64):
     }
     scene = small_scene(groups, run={"duration": 0.01, "velocity_max": 4.0, "time_step": 1e-5})
     forces = [ParticleForce(pushed, {"gradient": gradient, "rate": 0.0}, name="pushed")]
-    with Simulation(scene, threads=1, forces=forces) as simulation:
+    with Simulation(scene, threads=2, forces=forces) as simulation:
         simulation.run(until=1e-3)
         short = simulation.snapshot()
         forces[0].parameters["rate"] = rate
@@ -363,7 +363,7 @@ def test_clumps_cross_a_periodic_face_as_one_body(taichi_f64):
     rng = np.random.default_rng(1)
     motion = {"velocity": rng.normal(0.0, 0.5, (8, 3)), "angular_velocity": rng.normal(0.0, 100.0, (8, 3))}
     snapshots = run_and_sample(
-        periodic_rods(positions, 0.06, orientation="random", **motion), 0.006, threads=1
+        periodic_rods(positions, 0.06, orientation="random", **motion), 0.006, threads=2
     )
     last = snapshots[-1]
     assert abs(last.totals["boundary_work"]) > 1e-6 and last.totals["friction_dissipation"] > 0.0
@@ -379,7 +379,7 @@ def test_rate_dependent_forces_see_spheres_of_clumps_at_the_time_of_the_position
     """A free rod that spins: v = w x arm with the arm of the same time; one of the step before is 0.4 % off."""
     rate = [0.0, 0.0, 1000.0]
     scene = periodic_rods([[0.012] * 3], 1e-3, angular_velocity=[rate])
-    simulation = Simulation(scene.model_copy(update={"gravity": (0.0, 0.0, 0.0)}), threads=1)
+    simulation = Simulation(scene.model_copy(update={"gravity": (0.0, 0.0, 0.0)}), threads=2)
     simulation.run()
     last = simulation.snapshot()
     assert simulation.plan.features.rate_dependent

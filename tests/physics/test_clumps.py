@@ -21,7 +21,7 @@ def run_clump(group, interval, restitution=0.6, modulus=1e10, gravity=0.0, **run
         materials={"glass": material, "plate": material}, gravity=[0.0, 0.0, -gravity], run=run,
         output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
-    return run_and_sample(scene, interval, threads=1)
+    return run_and_sample(scene, interval, threads=2)
 
 
 def shape_of(centers, radius=0.002):
@@ -115,7 +115,7 @@ def damped_rods(cundall, drag, gravity):
         gravity=[0.0, 0.0, -gravity], run={"duration": 0.1, "velocity_max": 1.0, "time_step": 1e-5},
         output={"interval": 1.0, "energy_budget": True}, damping={"cundall": cundall, "drag": drag},
     )  # fmt: skip
-    return run_and_sample(scene, 0.01, threads=1)
+    return run_and_sample(scene, 0.01, threads=2)
 
 
 NONE = 1e-14

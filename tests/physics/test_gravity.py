@@ -45,7 +45,7 @@ def test_free_flight_under_changing_gravity():
     of g, whose error is dt^2 (g'(T) - g'(0)) / 12 + O(dt^4), and exact where g is linear. Jumps of gravity
     at stages do not shift the velocity. Positions: x = x0 + int v dt, error below dt^2 g.
     """
-    snapshots = run_and_sample(free_flight(), 0.004, threads=1)
+    snapshots = run_and_sample(free_flight(), 0.004, threads=2)
     at = {round(each.time, 9): each for each in snapshots}
     angle = RATE * TURN
     after_turn = -STRENGTH / RATE * np.array([1.0 - np.cos(angle), 0.0, np.sin(angle)])
@@ -96,7 +96,7 @@ def test_a_body_slides_where_the_tangent_of_the_tilt_is_the_friction():
         gravity={"vector": [0, 0, -STRENGTH], "motion": tilt}, run={"duration": 0.3, "velocity_max": 0.5},
         pair={"friction": FRICTION, "restitution": 0.1}, output={"interval": 0.01, "energy_budget": True},
     )  # fmt: skip
-    snapshots = run_and_sample(scene, 0.01, threads=1)
+    snapshots = run_and_sample(scene, 0.01, threads=2)
     velocity = np.array([each.particles["velocity"][:, 0].mean() for each in snapshots])
     angle = rate * np.array([each.time for each in snapshots])
     slip = np.arctan(FRICTION)
