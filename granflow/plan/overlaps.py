@@ -581,8 +581,13 @@ def _forecast(
         remedy = (
             f"{ends[0]}{_stiffer(plan, found, overlap, pair)}{accept if needed <= LARGEST_OVERLAP else ''}"
         )
+        materials = {group.spec.material for group in plan.groups}
+        of_groups = pair.materials[1] in materials and not pair.name.endswith(f"walls of {pair.materials[1]}")
+        made_of = (
+            f" ({' and '.join(dict.fromkeys(pair.materials))})" if of_groups and len(materials) > 1 else ""
+        )
         warning = (
-            f"{pair.name}: {words[1]} {amount}; {_consequence(scene, largest)}. "
+            f"{pair.name}{made_of}: {words[1]} {amount}; {_consequence(scene, largest)}. "
             f"{remedy[0].upper()}{remedy[1:]}{ends[1]}"
         )
     return Forecast(name, amount, f"{pair.name}{words[0]}", warning, cause, largest, force(pair))
