@@ -8,6 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from granflow.errors import GranflowError, SceneError
 from granflow.geometry.clump import ClumpBody, product
+from granflow.geometry.periodic_box import AXES
 from granflow.geometry.sphere import sphere_inertia
 from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
@@ -159,6 +160,7 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     ]
     if other_clumps:
         raise SceneError(other_clumps)
+    _refuse_other_widths(scene, before, checkpoint, location)
     stage_times = checkpoint.saved["stage_progress"]["stage_times"]
     gravity = before.gravity_course(stage_times).at(np.array([checkpoint.time]))[0]
     found = {
@@ -174,6 +176,33 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     if problems:
         raise SceneError(problems)
     return found
+
+
+WIDTH_TOLERANCE = 0.01
+"""Largest difference between the width of a box and that of the earlier run, over the smallest radius: given
+widths are rounded, and images shift by the difference."""
+
+
+def _refuse_other_widths(scene: Scene, before: Scene, checkpoint: Checkpoint, location: str) -> None:
+    """Raise SceneError if a periodic axis has another width than at the end of an earlier run whose box has
+    deformed."""
+    widths = checkpoint.saved["engine"]["deformation"].get("width")
+    if widths is None:
+        return
+    low = np.array(scene.domain.min)
+    given = np.array(scene.domain.max) - low
+    smallest = 0.5 * min(group.diameters[0] for group in before.particles.values())
+    axes = [
+        k for k, axis in enumerate(AXES) if axis in before.domain.periodic and axis in scene.domain.periodic
+    ]
+    if not any(abs(given[k] - widths[k]) > WIDTH_TOLERANCE * smallest for k in axes):
+        return
+    high = [float(low[k] + widths[k]) if k in axes else scene.domain.max[k] for k in range(3)]
+    corners = (", ".join(f"{x:.8g}" for x in corner) for corner in (low, high))
+    raise SceneError(
+        f"{location} its box has deformed, and its particles need the domain {{min: [{next(corners)}], max: "
+        f"[{next(corners)}]}}; give these numbers."
+    )
 
 
 def _spheres(shape: ParticleShape) -> str:

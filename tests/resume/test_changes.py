@@ -3,6 +3,7 @@ run."""
 
 from copy import deepcopy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,11 @@ from granflow.errors import GranflowError, SceneError
 from granflow.io.checkpoint import newest_checkpoint
 from granflow.load import scene_of
 from granflow.particles.insertion import initial_particles
-from granflow.runs.initial_particles import particles_from_run, refuse_other_particles
+from granflow.runs.initial_particles import (
+    _refuse_other_widths,
+    particles_from_run,
+    refuse_other_particles,
+)
 from granflow.runs.resume import accepted_change, differences, forbidden
 
 STAGES = [{"name": "hold", "duration": 0.02}, {"name": "fall", "duration": 0.02}]
@@ -286,6 +291,23 @@ def test_start_from_copies_the_last_state_of_another_run(checkpoint, restored):
         refuse_other_particles(plan, other)
     with pytest.raises(GranflowError, match="has temperature, but the scene has no particle equation; leave"):
         refuse_other_particles(gf.plan_for(scene), other)
+
+
+@pytest.mark.parametrize(("width", "is_refused"), [(0.0201, True), (0.01963, True), (0.0196001, False)])
+def test_start_from_requires_the_last_widths_of_a_deforming_box(width, is_refused):
+    """The box of 20 mm has ended at 19.6 mm; widths of the scene may be rounded."""
+
+    def scene(side):
+        domain = {"min": [0.0] * 3, "max": [side] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"}
+        return build_scene({"ball": particle_group([[0.0, 0.0, 0.0]], 0.002)}, domain=domain)
+
+    saved = {"engine": {"deformation": {"width": np.full(3, 0.0196)}}}
+    arguments = scene(width), scene(0.02), SimpleNamespace(saved=saved), "start_from is x, but"
+    if is_refused:
+        with pytest.raises(SceneError, match=r"max: \[0\.0196, 0\.0196, 0\.0196\]\}; give these"):
+            _refuse_other_widths(*arguments)
+    else:
+        _refuse_other_widths(*arguments)
 
 
 def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):
