@@ -126,6 +126,12 @@ def tell_inserted(deck: Deck) -> None:
         return
     templates = [fix.group for fix in deck.all_fixes if fix.style.startswith("particle")]
     members = {"all", *inserting, *templates}
+    integrators = [fix for fix in deck.fixes_of(*INTEGRATORS) if fix.group in members and deck.acting(fix)]
+    runs = [run for run in deck.runs if run.steps]
+    if integrators and not all(any(fix.acts_in(run) for fix in integrators) for run in runs):
+        integrators[-1].entry.approximated(
+            "particles that are integrated in some runs only move in all of them"
+        )
     acting = [fix for fix in deck.fixes_of(*FORCES, *INTEGRATORS) if deck.acting(fix) and fix.start == 0.0]
     for fix in acting:
         group = deck.groups.get(fix.group)

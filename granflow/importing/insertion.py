@@ -361,6 +361,13 @@ def scene_region(deck: Deck, region: Region, entry: Entry, margin: float = 0.0) 
     box = deck.box or (-inf, inf) * 3
     if not region.inside:
         entry.impossible("insertion outside a region", "a region with side in")
+    if region.motion is not None:
+        entry.impossible("insertion in a region that moves", "a region at rest")
+    if region.kind not in ("block", "cylinder", "cone", "sphere"):
+        entry.impossible(
+            f"insertion in a region of the style {region.kind}", "a block, cylinder, cone or sphere"
+        )
+        return {"box": {"min": quantities(box[::2], "length"), "max": quantities(box[1::2], "length")}}
     if region.kind == "cylinder":
         k = "xyz".index(region.axis)
         others = [each for each in range(3) if each != k]
@@ -780,6 +787,13 @@ def pour(deck: Deck, fix: Fix) -> None:
     if densities[0] != densities[1]:
         fix.entry.approximated(f"densities from {densities[0]:g} to {densities[1]:g}; the mean is taken")
     density = 0.5 * (densities[0] + densities[1])
+    if region.kind != "block" and (region.kind, region.axis) != ("cylinder", "z"):
+        raise DeckError(
+            fix.entry.command,
+            f"region {region.name} is a {region.kind}; pour requires a block or a cylinder along z.",
+        )
+    if region.motion is not None:
+        fix.entry.impossible("pour from a region that moves", "a region at rest")
     if type < 1:
         fix.entry.impossible(f"pour of the type {type}", "an atom type from 1")
         return

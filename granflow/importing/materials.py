@@ -29,6 +29,9 @@ LEAST_RESTITUTION = 0.01
 LEAST_TENSION = 0.005
 """Loss of tangential velocity over the normal velocity of an impact, below which it is not reported."""
 
+TWO_SCENES = "a scene for each, the second with start_from"
+"""The nearest to contacts that change between runs."""
+
 # Properties (LIGGGHTS)
 
 
@@ -162,7 +165,11 @@ def property_global(deck: Deck, fix: Fix) -> None:
                         fix.entry.command,
                         f"{name} is not symmetric: types {j + 1} and {i + 1} have two different numbers.",
                     )
-    deck.own("properties", dict)[name] = Property(form, tuple(numbers), columns, fix.entry)
+    properties: dict[str, Property] = deck.own("properties", dict)
+    before = properties.get(name)
+    if before is not None and deck.time > 0.0 and before.numbers != tuple(numbers):
+        fix.entry.impossible(f"{name} that changes at {deck.time:g} s", TWO_SCENES)
+    properties[name] = Property(form, tuple(numbers), columns, fix.entry)
 
 
 def needed(deck: Deck, name: str, model: "Model") -> Property:
@@ -459,6 +466,7 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
         style = words.word("the name of a pair style")
     if deck.family.get("pair_style") == "soft":
         deck.drop_separating_runs()
+    before: Model | None = deck.family.get("model")
     deck.family["pair_style"] = style
     if style == "gran":
         deck.family["model"] = liggghts_model(deck, words, entry)
@@ -489,6 +497,9 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
         entry.impossible(
             f"the pair style {style}", "gran, gran/hooke/history, gran/hertz/history or granular"
         )
+    after: Model | None = deck.family.get("model")
+    if before is not None and deck.time > 0.0 and (after is None or after.key != before.key):
+        entry.impossible(f"contact models that change at {deck.time:g} s", TWO_SCENES)
 
 
 def pair_coeff(deck: Deck, command: Command, entry: Entry) -> None:
@@ -504,7 +515,11 @@ def pair_coeff(deck: Deck, command: Command, entry: Entry) -> None:
     model = granular_model(deck, words, entry)
     for i in _types(deck, first, command):
         for j in _types(deck, second, command):
-            deck.family["pair_models"][min(i, j), max(i, j)] = model
+            models: dict[tuple[int, int], Model] = deck.family["pair_models"]
+            before = models.get((min(i, j), max(i, j)))
+            if before is not None and deck.time > 0.0 and before.key != model.key:
+                entry.impossible(f"coefficients that change at {deck.time:g} s", TWO_SCENES)
+            models[min(i, j), max(i, j)] = model
 
 
 def _types(deck: Deck, text: str, command: Command) -> range:

@@ -138,6 +138,23 @@ HOOKE = "pair_style gran/hooke/history 1e4 NULL 100 NULL 0 1\npair_coeff * *"
         ("liggghts", [("zplane 0.0", "zplane 0.0 contact_area constant 1e-6")], "fix w", "not possible", "contact_area constant"),
         ("liggghts", [("radius constant", "relative yes radius constant")], "fix p1", "not possible", "in percent of another"),
         ("liggghts", [("nve/sphere", "multisphere CAddRhoFluid 0.5 1000")], "fix i all", "not possible", "the added mass"),
+        (
+            "liggghts",
+            [("run 100", "run 100\nfix m4 all property/global coefficientFriction peratomtypepair 2 0 0 0 0\nrun 100")],
+            "fix m4 all property/global coefficientFriction peratomtypepair 2 0 ",
+            "not possible",
+            "coefficientFriction that changes at 0.001 s; nearest: a scene for each",
+        ),
+        ("liggghts", [("run 100", "run 100\npair_style gran model hooke tangential off\nrun 100"), ("fix m6", "fix m7 all property/global characteristicVelocity scalar 1\nfix m6")], "hooke", "not possible", "contact models that change at 0.001 s"),
+        ("lammps", [(HOOKE, GRANULAR), ("run 100", f"run 100\n{GRANULAR.splitlines()[1]}.5\nrun 100")], "NULL 1 0.5", "not possible", "coefficients that change at 0.001 s"),
+        (
+            "liggghts",
+            [("region box particles", "region both particles"), ("fix ins", "region a block 0 0.05 0 0.1 0 0.1 units box\nregion both union 2 a box\nfix ins")],
+            "fix ins",
+            "not possible",
+            "a region of the style union",
+        ),
+        ("liggghts", [("run 100", "run 50\nunfix i\nrun 50")], "fix i all", "approximated", "integrated in some runs only"),
         ("liggghts", [("insert/pack", "insert/pack/dense")], "fix ins", "not possible", "kind: pack"),
         (
             "liggghts",
@@ -228,6 +245,16 @@ def test_words_of_what_is_not_needed_are_permitted(tmp_path, lines):
             "lammps",
             [("fix i", "velocity all set 1 0 0 summ yes\nfix i")],
             "has no keyword summ. Did you mean sum?",
+        ),
+        (
+            "lammps",
+            [
+                (
+                    "fix i",
+                    "region s sphere 0.05 0.05 0.05 0.01\nfix p all pour 10 1 7 region s diam one 0.004\nfix i",
+                )
+            ],
+            "is a sphere; pour requires",
         ),
         (
             "lammps",
