@@ -67,10 +67,27 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         gap_findings(plan),
         gain_findings(plan),
     )
+    yield from conduction_areas(scene)
     sentences = [f"{_key_and_place(scene, *path)}{rest}" for path, rest in findings]
     for name, group in scene.particles.items():
         sentences += group.shape.warnings(partial(_key_and_place, scene, "particles", name))
     yield from (Forecast("", "", sentence, sentence) for sentence in sentences)
+
+
+def conduction_areas(scene: Scene) -> Iterator[Forecast]:
+    """The materials whose contact areas of conduction follow from a modulus that may be softened."""
+    for name, material in scene.materials.items():
+        conducts = scene.contact.name("heat") != "none" and bool(
+            getattr(material, "thermal_conductivity", None)
+        )
+        if conducts and getattr(material, "true_young_modulus", None) is None:
+            yield Forecast(
+                "contact areas of heat",
+                f"of {pressure_words(material.young_modulus)}",
+                f"materials.{name} has no true_young_modulus: if its real modulus E is higher, areas are too "
+                f"large by (E / {pressure_words(material.young_modulus)})^(1/3)",
+                None,
+            )
 
 
 def _key_and_place(scene: Scene, *path: str | int) -> str:

@@ -36,6 +36,11 @@ M = TypeVar("M", bound=Model)
 SCENE_KEYS = {"materials", "particles"}
 """Required keys of a scene that no other file has."""
 
+STUDY_KEYS = {"sweep": {"scene", "vary"}, "calibration": {"scenes", "targets"}}
+"""Required keys of other files that no scene has, by what the files describe."""
+STUDY_VERBS = {"sweep": "sweep", "calibration": "calibrate"}
+"""Verbs that read these files."""
+
 
 def validated_file(path: Path, schema: type[M], kind: str) -> tuple[M, Document]:
     """The content of a YAML file as `schema`, and its document, which has the position of each key.
@@ -95,6 +100,13 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
     the same errors as `load_scene`.
     """
     problems = list(document.problems)
+    keys = set(document.root.entries or ())
+    for kind, its_keys in STUDY_KEYS.items():
+        if its_keys <= keys and not keys & SCENE_KEYS:
+            raise SceneError(
+                f"{document.root.position}: this is a {kind}, not a scene; "
+                f"granflow {STUDY_VERBS[kind]} reads it, and its --dry-run checks it."
+            )
     for override in overrides:
         problems += _apply_override(document, override)
     scene, found = _validated(document)

@@ -155,3 +155,20 @@ def test_missing_key_in_an_override_is_reported_with_the_override():
         "--set walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}: "
         "walls.lid.normal is missing: normal; its length and sign do not matter."
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "verb"),
+    [
+        ("scene: a.yaml\nvary: {seed: [1, 2]}\n", "sweep", "sweep"),
+        ("scenes: {}\nparameters: {}\ntargets: {}\n", "calibration", "calibrate"),
+    ],
+)
+def test_a_study_in_place_of_a_scene_is_one_problem(tmp_path, text, kind, verb):
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert caught.value.problems == (
+        f"{path}:1:1: this is a {kind}, not a scene; granflow {verb} reads it, and its --dry-run checks it.",
+    )

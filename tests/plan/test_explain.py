@@ -7,6 +7,7 @@ import pytest
 from plan.scenes import scene_of
 from subprocess_runner import each_in_subprocess
 
+from granflow.load import load_scene
 from granflow.plan.build import plan_for
 from granflow.plan.cost import estimate_memory
 from granflow.plan.explain import WIDTH, duration, explain, feature_label, size
@@ -136,3 +137,11 @@ def test_memory_estimate_equals_the_allocated_memory(tmp_path):
 )
 def test_duration_is_rounded_to_a_readable_unit(seconds, text):
     assert duration(seconds) == text
+
+
+def test_conducting_materials_without_their_real_modulus_are_listed():
+    """heat_bed gives true_young_modulus, heat_conduction does not."""
+    folder = Path(__file__).parents[2] / "scenes/verification"
+    found = [plan_for(load_scene(folder / f"{name}.yaml")) for name in ("heat_conduction", "heat_bed")]
+    first, second = ([each for each in plan.forecasts if "areas" in each.name] for plan in found)
+    assert [each.value for each in first] == ["of 10 MPa"] and first[0].warning is None and not second
