@@ -7,7 +7,7 @@ its model differs from that of the particles. Restitution is that of a collision
 its end included.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from math import exp, inf, log, pi, sqrt
@@ -606,6 +606,20 @@ def tsuji(e: float) -> float:
     return sum(factor * e**power for power, factor in enumerate(terms))
 
 
+def largest_bridge(radii: Iterable[float]) -> float:
+    """Largest volume [m3] of a bridge between spheres of some radii [m] whose films have their own volume.
+
+    Each gives the film of the cap that faces the partner: (1 - sqrt(1 - (r / (R + r))^2)) / 2 of it.
+    """
+
+    def given(radius: float, partner: float) -> float:
+        share = 0.5 * (1.0 - sqrt(1.0 - (partner / (radius + partner)) ** 2))
+        return share * 4.0 / 3.0 * pi * radius**3
+
+    kinds = set(radii)
+    return max(given(a, b) + given(b, a) for a in kinds for b in kinds)
+
+
 # Bodies in contact
 
 
@@ -1190,7 +1204,13 @@ class Contacts:
             "large, the viscous one 2 times in contact and up to 4 times at a distance"
         )
         self._number("maxSeparationDistanceRatio", model, 1)
-        keys: dict[str, Any] = {"law": "capillary_transfer"}
+        largest = (
+            2.0 * (content or 1e-6) * largest_bridge(radius for each in self.sorts for radius in each.radii)
+        )
+        keys: dict[str, Any] = {"law": "capillary_transfer", "max_bridge_volume": f"{largest:.6g} m3"}
+        model.entry.approximated(
+            f"a bridge has at most {largest:.3g} m3, twice the largest from films of the initial content"
+        )
         if viscosity:
             if ratio > 1.0:
                 model.entry.approximated(f"the smallest distance is R* instead of {ratio:g} R*")
@@ -1360,6 +1380,8 @@ class Contacts:
             e = self._number("coefficientRestitution", model, first.type, type)
             zeta = -log(max(e, 1e-6)) / sqrt(pi**2 + log(max(e, 1e-6)) ** 2)
             return free_restitution(zeta, True) if limited else e
+        if model.damping == "tsuji":
+            return free_restitution(self._zeta(model, radius, mass), limited)
         if model.normal == "hertz/stiffness" or model.damping in (
             "viscoelastic",
             "velocity",

@@ -491,6 +491,9 @@ def test_liquid_bridges(tmp_path):
     found, scene = imported(tmp_path, liggghts(properties=BRIDGES, model=model))
     assert found.report.is_complete
     viscous = {"viscosity": "0.001 Pa s", "min_separation_ratio": 1}
+    # Twice the largest bridge of equal spheres, whose films give (1 - sqrt(3/4)) / 2 each.
+    volume = to_si(scene["contact"]["cohesion"].pop("max_bridge_volume"), "volume")
+    assert volume == pytest.approx(2 * 0.002 * (1 - sqrt(0.75)) * 4 / 3 * pi * 0.004**3, rel=1e-5)
     assert scene["contact"]["cohesion"] == {"law": "capillary_transfer", "viscous_force": viscous}
     assert all(group["liquid_content"] == 0.002 for group in scene["particles"].values())
     assert scene["pairs"]["type1-type2"]["contact_angle"] == pytest.approx(0.45)
@@ -498,6 +501,10 @@ def test_liquid_bridges(tmp_path):
     assert (
         "1.13 times as large" in remark and "instead of 1.01 R*" in remark and "in the script R/2" in remark
     )
+    for name, content in found.files.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "scene.yaml").write_text(found.text)
+    gf.load_scene(tmp_path / "scene.yaml")
 
 
 def test_box_of_which_one_side_grows(tmp_path):

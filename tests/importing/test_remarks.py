@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import yaml
 
+import granflow as gf
 from granflow.contact.theory import damping_ratio_for
 from granflow.importing.convert import convert
 from granflow.importing.language import DeckError
 from granflow.importing.materials import free_restitution, tsuji
+from granflow.plan.build import plan_for
 
 LAMMPS = """
 units si
@@ -403,3 +405,35 @@ def test_no_friction_of_a_dashpot_that_does_not_pull(tmp_path):
     assert (
         "the dashpot of the code pulls" not in remark(report(tmp_path, "liggghts", slippery), "pair_style")[1]
     )
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        *("hooke 1e4 0.5 damping tsuji", "hertz 1e7 0.5 damping tsuji", "hertz 1e7 0.01 damping velocity"),
+        *("hertz 1e7 100 rolling sds 1e3 0.01 0.1", "jkr 1e7 0.5 0.3 0.01 damping tsuji twisting marshall"),
+        *(
+            "dmt 1e7 0.5 0.3 0.01 damping tsuji",
+            "hertz/material 1e7 100 0.3 limit_damping",
+            "hooke 1e4 10 damping mass_velocity",
+        ),
+    ],
+)
+@pytest.mark.parametrize(
+    "tangential", ["", "tangential linear_history 3e3 0.5 0.4", "tangential mindlin NULL 0.5 0.4"]
+)
+def test_models_of_granular_pass_the_check(tmp_path, model, tangential):
+    pair = f"pair_style granular\npair_coeff * * {model} {tangential}"
+    wall = f"fix w all wall/gran granular {model} {tangential} zplane 0 NULL\nfix i"
+    found = report(tmp_path, "lammps", (HOOKE, pair), ("timestep 1e-5", "timestep 1e-7"), ("fix i", wall))
+    for name, content in found.files.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "scene.yaml").write_text(found.text)
+    plan_for(gf.load_scene(tmp_path / "scene.yaml"))
+    if "tsuji" in model:
+        zeta = tsuji(0.5) / (2.0 if model.startswith("hooke") else sqrt(5.0))
+        pairs = yaml.safe_load(found.text)["pairs"].values()
+        assert all(
+            each["restitution"] == pytest.approx(exp(-pi * zeta / sqrt(1 - zeta**2)), abs=1e-6)
+            for each in pairs
+        )
