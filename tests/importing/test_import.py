@@ -12,9 +12,9 @@ import yaml
 import granflow as gf
 from granflow.cli.main import main
 from granflow.contact.theory import damping_ratio_for
+from granflow.importing.collisions import collision, free_restitution, plastic_collision, tsuji
 from granflow.importing.convert import all_commands, all_fixes, convert
 from granflow.importing.language import DeckError
-from granflow.importing.materials import collision, free_restitution, plastic_collision, tsuji
 from granflow.units import to_si
 
 LIGGGHTS = """

@@ -9,9 +9,9 @@ import yaml
 
 import granflow as gf
 from granflow.contact.theory import damping_ratio_for
+from granflow.importing.collisions import free_restitution, tsuji
 from granflow.importing.convert import convert
 from granflow.importing.language import DeckError
-from granflow.importing.materials import free_restitution, tsuji
 from granflow.plan.build import plan_for
 
 LAMMPS = """
