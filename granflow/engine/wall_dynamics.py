@@ -44,6 +44,13 @@ class ControlledMotion:
         numbers = SimpleNamespace(**readers)
         self.r = index
         self.fields = state.wall_dynamics
+        if planned.section is not None:
+            self.force_at_start = numbers.force
+            self.pairs = [
+                [(r, state.parameter(f"motion.{index}.strain.{pair}.{r}")) for r in strains]
+                for pair, strains in enumerate(planned.section.strains)
+            ]
+            numbers.force = self.present_force
         self.wall = state.parameter(f"motion.{index}.wall")
         self.direction = state.parameter(f"motion.{index}.direction")
         self.velocity_of_kind = planned.spec.build_velocity(numbers)
@@ -52,6 +59,20 @@ class ControlledMotion:
         self.mass = numbers.mass if self.weight_changes else None
         self.gravity = state.built(Gravity)
         self.other_force = planned.spec.build_other_force(numbers) if self.is_body else None
+
+    @ti.func
+    def present_force(self):
+        """Target force [N] of a servo between walls: the pressure times the present section.
+
+        Reads:  offset
+        """
+        ratio = ti.cast(1.0, ti.f64)
+        for pair in ti.static(self.pairs):
+            stretch = ti.cast(1.0, ti.f64)
+            for r, strain in ti.static(pair):
+                stretch += strain() * self.fields.offset[r]
+            ratio *= stretch
+        return ti.cast(self.force_at_start(), ti.f64) * ratio
 
     @ti.func
     def velocity_after(self, force_on_wall, dt):
@@ -313,6 +334,15 @@ def controlled_totals(state: State) -> dict[str, float]:
         )
         found["free_wall_work"] = float(work[bodies].sum())
     return found
+
+
+def target_forces(state: State) -> list[float]:
+    """Force [N] that each motion prescribes at present, along its direction."""
+    offsets = np.zeros(0) if state.wall_dynamics is None else state.wall_dynamics.offset.to_numpy()
+    return [
+        each.force * (1.0 if each.section is None else each.section.ratio(offsets))
+        for each in state.plan.controlled_motions
+    ]
 
 
 def controlled_forces(state: State) -> np.ndarray:

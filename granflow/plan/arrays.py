@@ -381,6 +381,9 @@ def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
     yield _vector(f"{prefix}.direction", "f64", motion.direction)
     for name, value in motion.numbers.items():
         yield _scalar(f"{prefix}.{name}", "real", value)
+    for pair, strains in enumerate(motion.section.strains if motion.section else ()):
+        for r, strain in strains.items():
+            yield _scalar(f"{prefix}.strain.{pair}.{r}", "f64", strain)
 
 
 # Structure: what the machine code of a plan depends on. Plans of equal structure differ in parameters only.
@@ -410,7 +413,10 @@ def structure_of(plan: Plan) -> Hashable:
         plan.surface_kinds,
         bool(plan.meshes),
         tuple(outlet.kind for outlet in plan.scene.outlets.values()),
-        tuple(motion.spec.kind for motion in plan.controlled_motions),
+        tuple(
+            (motion.spec.kind, motion.section and tuple(tuple(each) for each in motion.section.strains))
+            for motion in plan.controlled_motions
+        ),
         tuple((array.name, array.dtype, array.width) for array in particle_arrays(plan) if array.wanted),
         _without_lists(plan.capacities),
         tuple(array.shape for array in mesh_arrays(plan)) if plan.meshes else (),

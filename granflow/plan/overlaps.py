@@ -370,7 +370,7 @@ def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
             "weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts
         )
     for motion in plan.controlled_motions:
-        area = plan.walls[motion.wall].area or section(plan.scene.domain, motion.direction)
+        area = motion.area_at(plan.walls) or section(plan.scene.domain, motion.direction)
         if motion.force > 0.0 and count > 1:
             pressure = motion.force / area
             cause = (

@@ -5,20 +5,28 @@ stable only if it is slow enough for the contacts of a layer of particles on the
 follow from the stiffness and viscosity of such a layer, and from the time step.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from math import sqrt
 
 import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
+from granflow.geometry.periodic_box import AXES
+from granflow.geometry.vectors import is_parallel
 from granflow.load import Scene
 from granflow.plan.pair_case import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import ForceControlledMotion, Numbers, WallContacts
+from granflow.scene.blocks.walls.half_space import HalfSpace
+from granflow.scene.blocks.walls.rectangle import Plate
 from granflow.schema.quantities import Vector3
+
+PERPENDICULAR = 1e-6
+"""Largest cosine between perpendicular unit vectors."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +36,7 @@ class ControlledMotion:
     spec:     the motion with unit vectors
     numbers:  see `ForceControlledMotion.numbers`
     source:   its line in the scene file
+    section:  of a servo between walls; None for others
     """
 
     wall: int
@@ -36,6 +45,7 @@ class ControlledMotion:
     spec: ForceControlledMotion
     numbers: Numbers
     source: str
+    section: "Section | None" = None
 
     @property
     def direction(self) -> Vector3:
@@ -44,13 +54,38 @@ class ControlledMotion:
 
     @property
     def force(self) -> float:
-        """Force [N] of the wall on particles at rest along its direction."""
+        """Force [N] of the wall on particles at rest along its direction, at the start."""
         return self.numbers["force"]
+
+    def area_at(self, walls: Sequence[PlannedWall], offsets: np.ndarray | None = None) -> float | None:
+        """Area [m2] to which a pressure refers: that of the wall, or of the section at displacements of all
+        motions (motions,) [m], at the start by default; None for an infinite wall."""
+        if self.section is None:
+            return walls[self.wall].area
+        return self.section.area * (1.0 if offsets is None else self.section.ratio(offsets))
 
     @property
     def key(self) -> str:
         """Key in messages and checkpoints."""
         return f"walls.{self.name}.motion.{self.motion}"
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section between pairs of opposite walls, across the direction of a servo.
+
+        A = A0 product over pairs of (1 + sum over motions of s x),      x: displacements of the motions [m]
+
+    area:     A0 [m2], at the start
+    strains:  for each pair, s [1/m] by number of the motions of its walls
+    """
+
+    area: float
+    strains: tuple[Mapping[int, float], ...]
+
+    def ratio(self, offsets: np.ndarray) -> float:
+        """A / A0 at displacements of all motions (motions,) [m]."""
+        return float(np.prod([1.0 + sum(s * offsets[r] for r, s in each.items()) for each in self.strains]))
 
 
 def controlled_motions_of(
@@ -78,10 +113,76 @@ def controlled_motions_of(
                     key, sentence = unstable
                     location = scene.locate("walls", wall.name, "motion", number, key)
                     raise SceneError(f"{location}: walls.{wall.name}.motion.{key} {sentence}")
-                numbers = motion.numbers(wall.area or 0.0, scene.gravity_at_start, layer, step)
                 source = scene.where("walls", wall.name, "motion", number)
-                controlled_motions.append(ControlledMotion(index, number, wall.name, motion, numbers, source))
+                between = _section_between(scene, walls, index, number)
+                area = wall.area if between is None else between.area
+                numbers = motion.numbers(area or 0.0, scene.gravity_at_start, layer, step)
+                controlled_motions.append(
+                    ControlledMotion(index, number, wall.name, motion, numbers, source, between)
+                )
     return tuple(controlled_motions)
+
+
+def _section_between(scene: Scene, walls: Sequence[PlannedWall], index: int, number: int) -> Section | None:
+    """The section on which a motion of a wall presses; None if it names no walls.
+
+    Raises SceneError for walls that are not flat, parallel in pairs and perpendicular to all others.
+    """
+    motion = walls[index].motions[number]
+    assert isinstance(motion, ForceControlledMotion)
+    names: Sequence[str] | None = getattr(motion, "between", None)
+    if names is None:
+        return None
+    by_name = {wall.name: wall for wall in walls}
+    directions = [
+        (wall.name, np.array(each.direction))
+        for wall in walls
+        for each in wall.motions
+        if isinstance(each, ForceControlledMotion)
+    ]
+    key = ("walls", walls[index].name, "motion", number, "between")
+    lengths: list[float] = []
+    normals = [np.array(motion.direction)]
+    strains: list[dict[int, float]] = []
+
+    def refused(reason: str) -> SceneError:
+        return SceneError(f"{scene.locate(*key)}: walls.{walls[index].name}.motion.between {reason}.")
+
+    for name, other in zip(names[::2], names[1::2], strict=True):
+        first, second = _plane_of(by_name[name]), _plane_of(by_name[other])
+        if first is None or second is None:
+            raise refused("has walls that are not flat; give planes or rectangles")
+        normal = first[1]
+        length = float((second[0] - first[0]) @ normal)
+        if not is_parallel(normal, second[1]) or length == 0.0:
+            raise refused(f"has {name} and {other} as a pair, which are not opposite to each other")
+        signs = {other: 1.0 / length, name: -1.0 / length}
+        found = {
+            r: signs[wall] * float(direction @ normal)
+            for r, (wall, direction) in enumerate(directions)
+            if wall in signs
+        }
+        lengths.append(abs(length))
+        normals.append(normal)
+        strains.append(found)
+    if any(abs(float(one @ two)) > PERPENDICULAR for one, two in combinations(normals, 2)):
+        raise refused("has walls that are not perpendicular to each other and parallel to the direction")
+    if len(names) == 2:
+        third = [k for k in range(len(AXES)) if all(abs(each[k]) < PERPENDICULAR for each in normals)]
+        if not third or AXES[third[0]] not in scene.domain.periodic:
+            raise refused("has two walls, but no periodic axis across them; give four walls")
+        lengths.append(float(np.subtract(scene.domain.max, scene.domain.min)[third[0]]))
+    return Section(float(np.prod(lengths)), tuple(strains))
+
+
+def _plane_of(wall: PlannedWall) -> tuple[np.ndarray, np.ndarray] | None:
+    """A point of a flat wall and its unit normal; None for other walls."""
+    surface = wall.surface
+    if isinstance(surface, HalfSpace):
+        return np.asarray(surface.point), np.asarray(surface.normal)
+    if isinstance(surface, Plate):
+        return np.asarray(surface.corner), np.asarray(surface.normal)
+    return None
 
 
 def _layer(

@@ -14,7 +14,7 @@ import numpy as np
 
 from granflow.engine.deformation import box_pressures, target_pressures
 from granflow.engine.engine import Engine, RestState
-from granflow.engine.wall_dynamics import controlled_forces
+from granflow.engine.wall_dynamics import controlled_forces, target_forces
 from granflow.errors import GranflowError
 from granflow.geometry.periodic_box import AXES
 from granflow.load import Scene
@@ -106,16 +106,20 @@ def is_off_target(target: float, reached: float, series: np.ndarray) -> bool:
 def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
     """A sentence for each servo that is active in the last step and off its target force."""
     present = engine.state.walls.present
-    forces = controlled_forces(engine.state)
+    forces, targets = controlled_forces(engine.state), target_forces(engine.state)
     middle = np.array([engine.time - 0.5 * engine.time_step])
     for index, motion in enumerate(engine.plan.controlled_motions):
         running = engine.state.wall_motions[motion.wall][motion.motion].is_running(middle)[0]
         if not motion.spec.follows_force or not (running and present[motion.wall]):
             continue
         series = np.array([sample[index] for sample in samples])
-        if is_off_target(motion.force, forces[index], series):
-            area = engine.plan.walls[motion.wall].area
-            yield _sentence(motion, stage, engine.time, float(forces[index]), not series.any(), area)
+        target = targets[index]
+        if is_off_target(target, forces[index], series):
+            area = motion.area_at(engine.plan.walls)
+            present = area and area * target / motion.force
+            yield _sentence(
+                motion, stage, engine.time, (float(forces[index]), target), not series.any(), present
+            )
 
 
 def box_off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
@@ -146,21 +150,26 @@ def box_off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]
 
 
 def _sentence(
-    motion: ControlledMotion, stage: str, time: float, force: float, is_untouched: bool, area: float | None
+    motion: ControlledMotion,
+    stage: str,
+    time: float,
+    forces: tuple[float, float],
+    is_untouched: bool,
+    area: float | None,
 ) -> str:
     """The warning on a servo that is off its target.
 
-    `force` [N]: at the end; `is_untouched`: no force in all samples; `area` [m2]: of the wall.
+    forces:        at the end, and prescribed [N]
+    is_untouched:  no force in all samples
+    area:          [m2] to which a pressure refers
     """
-    reached = f"{force:.3g} N"
-    target = f"{motion.force:.3g} N"
-    if area:
-        reached, target = (
-            f"{text} ({value / area:.3g} Pa)" for text, value in ((reached, force), (target, motion.force))
-        )
+    force, prescribed = forces
+    reached, target = (
+        f"{value:.3g} N ({value / area:.3g} Pa)" if area else f"{value:.3g} N" for value in forces
+    )
     is_away = is_untouched and force == 0.0
     state = "does not touch the particles" if is_away else "is off its target"
-    error = motion.force - force
+    error = prescribed - force
     velocity, limit = motion.spec.approach(motion.numbers, error)
     remedy = motion.spec.remedy_off_target(motion.numbers, error, is_away)
     return (

@@ -733,13 +733,22 @@ def gamma_requires_gravity(parts: PartialScene) -> Iterator[Fault]:
 
 
 def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
-    """Prescribed pressures require a wall with an area; force-controlled walls require a constant time step.
+    """Prescribed pressures require a wall with an area, or walls between which they act; force-controlled
+    walls require a constant time step.
 
     The limits of their gain and mass are computed for one time step.
     """
     scene = parts.scene
     controlled = [(path, each) for path, each in _motions(scene) if each.force_controlled]
     for path, motion in controlled:
+        for number, name in enumerate(getattr(motion, "between", None) or ()):
+            if name not in scene.walls:
+                yield unknown((*path, "between", number), name, list(scene.walls), "wall")
+            elif not all(each.force_controlled for each in scene.walls[name].motion):
+                reason = (
+                    f"walls.{name} has a prescribed motion; give walls that servos move, or walls at rest"
+                )
+                yield Fault((*path, "between", number), reason)
         key = motion.key_for_area
         wall = scene.walls[str(path[1])]
         if key is not None and not wall.has_area(scene.domain):

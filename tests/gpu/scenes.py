@@ -10,6 +10,8 @@ from geometry.meshes import sheet, write
 from scene_builders import SOFT, box, build_scene, moving_lattice, particle_group, vibrating_box
 from sheared_scenes import sheared_gas
 
+from granflow.load import Scene
+
 SPRING = {"stiffness": {"reference_velocity": 1.0}}
 LAWS = {
     "zhou": {"law": "zhou", "restitution_at": "max_overlap"},
@@ -115,8 +117,10 @@ def inlet_and_outlets():
 
 
 def compressed(**parts):
-    """A servo wall and a free wall."""
-    return compression_scene(0.004, **GPU_CHUNKS, **parts)
+    """A servo wall, whose pressure refers to the section between three walls at rest and a free wall."""
+    scene = compression_scene(0.004, **GPU_CHUNKS, **parts).to_dict()
+    scene["walls"]["lid"]["motion"][0]["between"] = ["low_x", "side", "low_y", "high_y"]
+    return Scene.from_dict(scene)
 
 
 SCENES = {

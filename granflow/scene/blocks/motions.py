@@ -952,6 +952,12 @@ class Servo(ForceControlledMotion):
         description="prescribed pressure, force over the area of the wall [Pa]; instead of force",
         examples=["50 kPa"],
     )
+    between: Names | None = optional(
+        "with pressure: names of two or four walls, opposite ones in pairs; the pressure then refers to the "
+        "section between them at present",
+        "the area of this wall",
+        examples=[["left", "right", "front", "back"]],
+    )
     velocity_max: q.Speed = Field(description="largest speed of the wall [m/s]", examples=["0.1 m/s"])
     gain: q.Positive | None = optional(
         "velocity over force difference [m/(s N)]", "from stiffness and time step"
@@ -964,19 +970,26 @@ class Servo(ForceControlledMotion):
             yield whole((), "has no prescribed force: give force or pressure")
         elif self.force is not None and self.pressure is not None:
             yield redundant("pressure", "force")
+        if self.between is not None:
+            if self.pressure is None:
+                yield Fault(("between",), "it requires pressure; remove between")
+            elif len(self.between) not in (2, 4) or len(set(self.between)) < len(self.between):
+                yield Fault(
+                    ("between",), "it has two or four different walls, such as [left, right, front, back]"
+                )
 
     @property
     def key_for_area(self) -> str | None:
         """See `TimedMotion`."""
-        return None if self.pressure is None else "pressure"
+        return None if self.pressure is None or self.between else "pressure"
 
     def controlled_speed(self, gravity_along: Callable[[Sequence[float]], float], distance: float) -> float:
         """`velocity_max`."""
         return self.velocity_max
 
     def numbers(self, area: float, gravity: Sequence[float], layer: WallContacts, step: float) -> Numbers:
-        """Target force F [N], gain [m/(s N)], lag [steps] with which the velocity follows the force error,
-        and maximum velocity [m/s].
+        """Target force F [N] at the start, gain [m/(s N)], lag [steps] with which the velocity follows the
+        force error, and maximum velocity [m/s].
 
         Contacts of stiffness K change their force by K dt v = gain K dt (F - f) in a step: for gain K dt < 2
         the force error decreases in every step. The servo is a dashpot of 1/gain: it dissipates energy of the

@@ -1,0 +1,79 @@
+"""Servo walls whose pressure refers to the present section between other walls."""
+
+import numpy as np
+import pytest
+from scene_builders import SOFT, build_scene, particle_group, plane
+
+from granflow.errors import SceneError
+from granflow.load import Scene
+from granflow.plan.build import plan_for
+from granflow.simulation import Simulation
+
+DIAMETER, GAP = 0.01, 0.002
+PRESSURES = np.array([2e3, 3e3, 4e3])
+FACES = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
+
+
+def pressed():
+    """A sphere between six planes: three at rest touch it, three servos start at a distance of 2 mm."""
+    walls = {}
+    for k, axis in enumerate("xyz"):
+        unit = np.eye(3)[k]
+        names = [f"{side}_{other}" for other in FACES[axis] for side in ("low", "high")]
+        servo = {
+            "kind": "servo", "direction": (-unit).tolist(), "pressure": PRESSURES[k], "velocity_max": 0.5,
+            "between": names,
+        }  # fmt: skip
+        walls[f"low_{axis}"] = plane([0, 0, 0], unit.tolist())
+        walls[f"high_{axis}"] = plane(((DIAMETER + GAP) * unit).tolist(), (-unit).tolist(), motion=servo)
+    return build_scene(
+        {"ball": particle_group([[DIAMETER / 2] * 3], DIAMETER)}, walls, normal="hertz", pair={"restitution": 0.5},
+        run={"duration": 0.06, "velocity_max": 0.5}, output={"interval": 1.0},
+    )  # fmt: skip
+
+
+def test_force_is_the_pressure_on_the_present_section(taichi_f64):
+    """F_x = P_x L_y L_z with the present distances L = D - 2 overlap, of Hertz contacts with a wall:
+    F = 4/3 E* sqrt(R) overlap^1.5, E* = E / (2 (1 - nu^2)). The section of the start is larger by 44 %."""
+    stiffness = 4 / 3 * SOFT["young_modulus"] / (2 * (1 - SOFT["poisson_ratio"] ** 2)) * np.sqrt(DIAMETER / 2)
+    overlap = np.zeros(3)
+    for _ in range(50):
+        length = DIAMETER - 2.0 * overlap
+        overlap = (PRESSURES * length.prod() / length / stiffness) ** (2 / 3)
+    with Simulation(pressed()) as simulation:
+        assert [each.force for each in simulation.plan.controlled_motions] == pytest.approx(
+            PRESSURES * (DIAMETER + GAP) ** 2
+        )
+        result = simulation.run()
+        last = simulation.snapshot()
+    moved = np.array([last.totals[f"wall_displacement.high_{axis}"] for axis in "xyz"])
+    np.testing.assert_allclose(moved, GAP + 2.0 * overlap, rtol=1e-9)
+    np.testing.assert_allclose(last.particles["position"][0], DIAMETER / 2 - overlap, rtol=1e-9)
+    assert not [each for each in result.warnings if "off its target" in each]
+
+
+@pytest.mark.parametrize(
+    ("between", "message"),
+    [
+        (["low_x", "high_y", "low_z", "high_z"], "has low_x and high_y as a pair, which are not opposite"),
+        (["low_x", "high_x", "low_z", "high_z"], "has walls that are not perpendicular to each other and"),
+        (["low_y", "high_y"], "has two walls, but no periodic axis across them; give four walls"),
+    ],
+)
+def test_walls_that_enclose_no_section_are_refused(between, message):
+    scene = pressed().to_dict()
+    scene["walls"]["high_x"]["motion"][0]["between"] = between
+    with pytest.raises(SceneError, match=rf"walls\.high_x\.motion\.between {message}"):
+        plan_for(Scene.from_dict(scene))
+
+
+def test_two_walls_enclose_a_section_with_a_periodic_axis():
+    """F = P L W with the width W of the box along the periodic axis; a plane needs no area of its own."""
+    scene = pressed().to_dict()
+    scene["domain"] |= {"min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, 0.04], "periodic": ["z"]}
+    for name in ("low_z", "high_z"):
+        del scene["walls"][name]
+    scene["walls"]["high_x"]["motion"][0]["between"] = ["low_y", "high_y"]
+    scene["walls"]["high_y"]["motion"][0]["between"] = ["high_x", "low_x"]
+    forces = [each.force for each in plan_for(Scene.from_dict(scene)).controlled_motions]
+    assert forces == pytest.approx(PRESSURES[:2] * (DIAMETER + GAP) * 0.04)
