@@ -148,8 +148,37 @@ def residence_cases() -> list[ValidationCase]:
 
 
 def equipment_motion_cases() -> list[ValidationCase]:
-    """A chain of three motions, gravity that turns, and a sphere that oscillates in a spherical wall."""
-    return [*_chain_cases(), *_gravity_cases(), _pendulum_case()]
+    """A chain of three motions, servos on the present section, gravity that turns, and a sphere that oscillates
+    in a spherical wall."""
+    return [*_chain_cases(), *_servo_cases(), *_gravity_cases(), _pendulum_case()]
+
+
+def _servo_cases() -> list[ValidationCase]:
+    """Overlaps d in `servo_section`: F = 4/3 E* sqrt(R) d^(3/2) = P L1 L2 with the distances L = D - 2 d."""
+    diameter, gap, pressures = 0.01, 0.002, np.array([2e4, 3e4, 4e4])
+    modulus = SOLID["young_modulus"] / (2.0 * (1.0 - SOLID["poisson_ratio"] ** 2))
+    stiffness = 4.0 / 3.0 * modulus * math.sqrt(0.5 * diameter)
+    expected = np.zeros(3)
+    for _ in range(100):
+        length = diameter - 2.0 * expected
+        expected = (pressures * length.prod() / length / stiffness) ** (2.0 / 3.0)
+    with Simulation(shipped_scene("verification/servo_section")) as simulation:
+        simulation.run()
+        totals = simulation.snapshot().totals
+    walls = ("right", "back", "top")
+    return [
+        ValidationCase(
+            kind="Motions of walls and gravity",
+            name=f"servo, {1e-3 * pressure:g} kPa on the present section: overlap at the wall {wall}",
+            reference=float(overlap),
+            source="Hertz 1882, and the balance of forces",
+            value=0.5 * (totals[f"wall_displacement.{wall}"] - gap),
+            unit="m",
+            allowed=1e-6,
+            derivation="rounding of the forces, which are added on a grid",
+        )
+        for wall, pressure, overlap in zip(walls, pressures, expected, strict=True)
+    ]
 
 
 def _turned(axis: int, angle: float, point: np.ndarray) -> np.ndarray:

@@ -127,7 +127,7 @@ SUBJECTS = {
     "Viscous liquid bridges": "Two wet spheres that separate, and that collide.",
     "Wear of walls": "Worn volume of a sliding body (Archard) and of impacts (Finnie).",
     "Residence times": "Mean and deviation of two streams of known velocity.",
-    "Motions of walls and gravity": "A chain of motions, gravity that turns, a sphere in a spherical wall.",
+    "Motions of walls and gravity": "A chain of motions, servos, gravity that turns, a sphere in a spherical wall.",
     "Deforming box": "Pressures, widths and work of a periodic lattice that is compressed.",
     "Gas of inelastic spheres": "Cooling of a granular gas (Haff's law).",
     "Gas of viscoelastic spheres": "Cooling of a gas whose restitution depends on the velocity.",
