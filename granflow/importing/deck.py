@@ -330,10 +330,8 @@ class Words:
         return self.deck.si(self.plain(what), dimension)
 
     def plain(self, what: str, example: str = "0.5") -> float:
-        """The next word as a number in the units of the script; INF is infinite."""
+        """The next word as a number in the units of the script."""
         word = self.word(what)
-        if word.upper() == "INF" or word == "+INF":
-            return float("inf")
         try:
             found = float(word)
         except ValueError:
@@ -344,6 +342,20 @@ class Words:
         if not isfinite(found):
             raise DeckError(self.command, f"{what} is {word}; give a finite number.")
         return found
+
+    def positive(self, what: str, dimension: str) -> float:
+        """The next word as a number above 0 in SI units."""
+        found = self.number(what, dimension)
+        if found <= 0.0:
+            raise DeckError(self.command, f"{what} is {self.words[self.at - 1]}; give a number above 0.")
+        return found
+
+    def number_or_infinite(self, what: str, dimension: str) -> float | None:
+        """The next word as a number in SI units; None for INF."""
+        if self.next == "INF":
+            self.word(what)
+            return None
+        return self.number(what, dimension)
 
     def whole(self, what: str) -> int:
         """The next word as a whole number."""

@@ -230,11 +230,9 @@ def insertion(deck: Deck, fix: Fix) -> None:
         elif key == "insertion_face":
             given["face"] = words.mesh()
         elif key in ("nparticles", "particles_in_region"):
-            number = words.plain("the number of particles")
-            given["count"] = None if number == inf else number
+            given["count"] = words.number_or_infinite("the number of particles", "number")
         elif key in ("mass", "mass_in_region"):
-            number = words.number("the mass", "mass")
-            given["mass"] = None if number == inf else number
+            given["mass"] = words.number_or_infinite("the mass", "mass")
         elif key == "particlerate":
             given["rate"] = words.number("the rate", "rate")
         elif key == "massrate":

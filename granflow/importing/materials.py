@@ -87,6 +87,8 @@ PROPERTIES: dict[str, Known] = {
 
 RANGES = {
     "youngsModulus": (1.0, 1e13),
+    "kn": (1e-9, inf),
+    "characteristicVelocity": (1e-9, inf),
     "poissonsRatio": (0.0, 0.5),
     "coefficientRestitution": (0.0, 1.0),
     "coefficientFriction": (0.0, inf),
@@ -336,7 +338,7 @@ def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
 def old_model(deck: Deck, words: Words, entry: Entry, style: str) -> Model:
     """Read `Kn Kt gamma_n gamma_t xmu dampflag` of gran/hooke, gran/hooke/history and gran/hertz/history."""
     is_hertz = style.startswith("hertz")
-    kn = words.number("Kn", "pressure" if is_hertz else "stiffness")
+    kn = words.positive("Kn", "pressure" if is_hertz else "stiffness")
     kt = _or_default(words, "Kt", "pressure" if is_hertz else "stiffness", 2.0 / 7.0 * kn)
     gn = words.number("gamma_n", "hertz_damping" if is_hertz else "rate")
     gt = _or_default(words, "gamma_t", "hertz_damping" if is_hertz else "rate", 0.5 * gn)
@@ -371,13 +373,13 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
     options: dict[str, bool] = {}
     tangential, rolling, twisting, damping, cohesion = "none", "none", "none", "viscoelastic", "none"
     if normal == "hooke":
-        numbers["kn"] = words.number("k_n", "stiffness")
+        numbers["kn"] = words.positive("k_n", "stiffness")
         numbers["eta"] = words.plain("eta_n0")
     elif normal == "hertz":
-        numbers["kn"] = words.number("k_n", "pressure")
+        numbers["kn"] = words.positive("k_n", "pressure")
         numbers["eta"] = words.plain("eta_n0")
     elif normal in ("hertz/material", "dmt", "jkr"):
-        numbers["E"] = words.number("E", "pressure")
+        numbers["E"] = words.positive("E", "pressure")
         numbers["eta"] = words.plain("eta_n0")
         numbers["nu"] = words.number("nu")
         if normal != "hertz/material":
