@@ -14,7 +14,7 @@ PRESSURES = np.array([2e3, 3e3, 4e3])
 FACES = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
 
 
-def pressed():
+def servo_box():
     """A sphere between six planes: three at rest touch it, three servos start at a distance of 2 mm."""
     walls = {}
     for k, axis in enumerate("xyz"):
@@ -40,7 +40,7 @@ def test_force_is_the_pressure_on_the_present_section(taichi_f64):
     for _ in range(50):
         length = DIAMETER - 2.0 * overlap
         overlap = (PRESSURES * length.prod() / length / stiffness) ** (2 / 3)
-    with Simulation(pressed()) as simulation:
+    with Simulation(servo_box()) as simulation:
         assert [each.force for each in simulation.plan.controlled_motions] == pytest.approx(
             PRESSURES * (DIAMETER + GAP) ** 2
         )
@@ -61,7 +61,7 @@ def test_force_is_the_pressure_on_the_present_section(taichi_f64):
     ],
 )
 def test_walls_that_enclose_no_section_are_refused(between, message):
-    scene = pressed().to_dict()
+    scene = servo_box().to_dict()
     scene["walls"]["high_x"]["motion"][0]["between"] = between
     with pytest.raises(SceneError, match=rf"walls\.high_x\.motion\.between {message}"):
         plan_for(Scene.from_dict(scene))
@@ -69,7 +69,7 @@ def test_walls_that_enclose_no_section_are_refused(between, message):
 
 def test_two_walls_enclose_a_section_with_a_periodic_axis():
     """F = P L W with the width W of the box along the periodic axis; a plane needs no area of its own."""
-    scene = pressed().to_dict()
+    scene = servo_box().to_dict()
     scene["domain"] |= {"min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, 0.04], "periodic": ["z"]}
     for name in ("low_z", "high_z"):
         del scene["walls"][name]
