@@ -153,6 +153,7 @@ class ParticleGroup:
     type:     atom type
     density:  [kg/m3]
     radii:    smallest and largest radius [m]
+    radius:   mean radius by mass [m], at which coefficients that depend on the size are evaluated
     keys:     the keys of the group in the scene, without material
     entries:  the commands that it comes from
     """
@@ -161,6 +162,7 @@ class ParticleGroup:
     type: int
     density: float
     radii: tuple[float, float]
+    radius: float
     keys: dict[str, Any]
     entries: tuple[Entry, ...]
 

@@ -495,6 +495,7 @@ def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
                 type,
                 density,
                 (min(radii), max(radii)),
+                mean_radius,
                 {**amounts, **keys, "insert": insert},
                 (fix.entry,),
             )
@@ -834,10 +835,12 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
             "max": quantity(high, "length"),
         }
         radii = (0.5 * low, 0.5 * high)
+        mean_radius = 0.4 * (high**5 - low**5) / (high**4 - low**4)  # of d^3, d from low to high
     else:
         total = sum(share for _, share in given.diameters)
         mean_cube = sum(share / total * d**3 for d, share in given.diameters)
         radii = (0.5 * min(given.diameters)[0], 0.5 * max(given.diameters)[0])
+        mean_radius = 0.5 * sum(share / total * d**4 for d, share in given.diameters) / mean_cube
         sizes = quantity(given.diameters[0][0], "length")
         if len(given.diameters) > 1:
             classes = [{"diameter": quantity(d, "length"), "fraction": share} for d, share in given.diameters]
@@ -890,7 +893,8 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
                 count = int(min(count, appeared))
         name = fix.name if number == 1 else f"{fix.name}_{number}"
         values = {"count": count, "diameter": sizes, "velocity": velocity, "insert": insert}
-        deck.particles.append(ParticleGroup(name, given.type, given.density, radii, values, (fix.entry,)))
+        sort = (given.type, given.density, radii, mean_radius)
+        deck.particles.append(ParticleGroup(name, *sort, values, (fix.entry,)))
 
 
 def _stage_starts(deck: Deck) -> list[float]:

@@ -554,17 +554,14 @@ def largest_bridge(radii: Iterable[float]) -> float:
 
 @dataclass(frozen=True)
 class Sort:
-    """One material of particles: type and density, with the extreme radii of its particles."""
+    """One material of particles: type and density, with the extreme radii [m] of its particles and the mean
+    by mass."""
 
     name: str
     type: int
     density: float
     radii: tuple[float, float]
-
-    @property
-    def radius(self) -> float:
-        """A representative radius [m]."""
-        return 0.5 * (self.radii[0] + self.radii[1])
+    radius: float
 
     def mass(self, radius: float) -> float:
         """Mass [kg] of a sphere."""
@@ -601,7 +598,8 @@ def sorts_of(deck: Deck) -> list[Sort]:
     for (type, density), groups in found.items():
         name = f"type{type}" if types.count(type) == 1 else plain_name(f"type{type}_{density:g}", "type")
         radii = [radius for each in groups for radius in each.radii]
-        sorts.append(Sort(name, type, density, (min(radii), max(radii))))
+        radius = sum(each.radius for each in groups) / len(groups)
+        sorts.append(Sort(name, type, density, (min(radii), max(radii)), radius))
     return sorts
 
 
@@ -672,7 +670,7 @@ class Contacts:
     on a wall; pair and entry of its model."""
 
     def __post_init__(self) -> None:
-        first = self.sorts[0] if self.sorts else Sort("type1", 1, REFERENCE_DENSITY, (1e-3, 1e-3))
+        first = self.sorts[0] if self.sorts else Sort("type1", 1, REFERENCE_DENSITY, (1e-3, 1e-3), 1e-3)
         self.first = first
         self.main = self.of(first.type, first.type)
         self.speed = self._reference_speed()

@@ -314,8 +314,13 @@ def _add_fills(deck: Deck, points: Points, held: np.ndarray, packed: set[int]) -
                 keys["thermal"] = {"velocity_rms": quantity(float(f"{random:.6g}"), "velocity")}
         name = f"fill_{number + 1}_type{type}"
         name = name if len(set(points.density[points.type == type].tolist())) == 1 else f"{name}_{density:g}"
-        group = ParticleGroup(name, type, density, (smallest, largest), keys, tuple(points.entries))
-        deck.particles.append(group)
+        sort = (type, density, (smallest, largest), _mean_radius(radius))
+        deck.particles.append(ParticleGroup(name, *sort, keys, tuple(points.entries)))
+
+
+def _mean_radius(radius: np.ndarray) -> float:
+    """Mean radius [m] by mass of particles of one density."""
+    return float((radius**4).sum() / (radius**3).sum())
 
 
 def _diameters(radius: np.ndarray) -> Any:
@@ -358,7 +363,15 @@ def _add_tables(deck: Deck, draft: Draft, points: Points, held: np.ndarray, chos
         if is_held:
             keys["fixed"] = True
         deck.particles.append(
-            ParticleGroup(f"start_{name}", type, density, radii, keys, tuple(points.entries))
+            ParticleGroup(
+                f"start_{name}",
+                type,
+                density,
+                radii,
+                _mean_radius(points.radius[rows]),
+                keys,
+                tuple(points.entries),
+            )
         )
 
 

@@ -437,3 +437,16 @@ def test_models_of_granular_pass_the_check(tmp_path, model, tangential):
             each["restitution"] == pytest.approx(exp(-pi * zeta / sqrt(1 - zeta**2)), abs=1e-6)
             for each in pairs
         )
+
+
+def test_restitution_of_a_range_of_sizes_is_that_of_the_mean_by_mass(tmp_path):
+    """Numbers are equal for all diameters from a to b: the mean by mass is int d^4 / int d^3 = 4/5 (b^5 - a^5) / (b^4 - a^4)."""
+    low, high = 0.004, 0.008
+    mean = 0.8 * (high**5 - low**5) / (high**4 - low**4)
+    found = []
+    for diameters in (f"range {low} {high}", f"one {mean:.15g}"):
+        atoms = LAMMPS[LAMMPS.index("create_atoms 1") : LAMMPS.index("group one")]
+        pour = f"region r block 0.02 0.08 0.02 0.08 0.05 0.09\nfix p all pour 10 1 7 region r diam {diameters} dens 2500 2500\n"
+        scene = yaml.safe_load(report(tmp_path, "lammps", (atoms, pour)).text)
+        found.append(scene["pairs"]["type1-type1"]["restitution"])
+    assert found[0] == pytest.approx(found[1], abs=1e-6) and found[0] < 0.99
