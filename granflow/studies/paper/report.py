@@ -107,9 +107,12 @@ def candidate_model(name: str) -> CandidateModel:
     """Contact model matched to Eq. 12 at the reference velocity for both materials, by its single free
     parameter.
 
-    Raises KeyError for an unknown name, ValueError if the model rejects the materials.
+    Raises KeyError for an unknown name, ValueError if the model rejects the materials or has further
+    parameters, which are not those of a collision.
     """
     kind = models("normal")[name]
+    if further := kind.pair_properties.model_fields:
+        raise ValueError(f"it has more parameters than the restitution: {', '.join(further)}")
     settings = SETTINGS.get(name, kind.example)
     wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
     fits = tuple({"preset": case.name} for case in PAPER_CASES)
