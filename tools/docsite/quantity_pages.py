@@ -20,7 +20,7 @@ and the SI unit of each column, such as `kinetic_energy [J]`; a dimensionless co
 are `time [s]` and `stage`. A
 column exists only if the scene needs it: the energies of the [energy budget](../explanation/energy.md) with
 `output.energy_budget: true`, columns of flow meters, walls and metrics for each of them, with its name after a dot.
-The names are also those of `expect:`.
+The names are also those of `expect:`. At the end of a run with several stages, `stages.csv` has the last row of each.
 """
 VTU = """\
 # Arrays of VTU files
