@@ -70,13 +70,16 @@ def in_box(groups, size, axes, **parts):
 
 
 def gas(shift, **run):
-    """Rough particles that start on a close lattice, collide and cross every face of a box of 4 cm."""
+    """Rough particles that start on a close lattice, collide and cross every face of a box of 4 cm.
+
+    The chunk size is that of the neighbor lists above: one structure.
+    """
     rng = np.random.default_rng(3)
     positions = 0.01 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
     velocity = rng.normal(0.0, 0.3, positions.shape)
     group = particle_group((positions + shift) % 0.04, 0.0099, velocity=velocity - velocity.mean(axis=0))
     run = {"duration": 0.02, "velocity_max": 5.0} | run
-    return in_box({"balls": group}, [0.04] * 3, "xyz", run=run, numerics={"skin": 0.001})
+    return in_box({"balls": group}, [0.04] * 3, "xyz", run=run, numerics={"chunk_size": 37, "skin": 0.001})
 
 
 def test_shifting_all_particles_by_half_a_box_changes_rounding_only(taichi_f64):
