@@ -1,5 +1,6 @@
 """Fixtures of the whole session."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -26,6 +27,20 @@ state_cache.restarts_for_structures = False
 state_cache.MOST_STATES = 100
 cost.OPTIMIZED_ABOVE = 100.0
 """Tests compile for short runs; `bits` compares with kernels of long runs."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Collect tests without garbage collection, and keep it off the modules of the tests later.
+
+    It would search the syntax trees and modules of all tests again and again, for half of the time of the collection.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="module")

@@ -36,10 +36,10 @@ SHAPES = {
 
 def example_of_wall(kind):
     """The shape of a kind of wall, with the examples of its keys in the reference."""
-    values = YAML(typ="safe").load("\n".join(example_of(key) for key in keys(kind.__name__)))
     required = {each.alias or name for name, each in kind.model_fields.items() if each.is_required()}
-    given = {name: values[name] for name in required}
-    return kind.model_validate(given).surface(Path())
+    examples = [example_of(key) for key in keys(kind.__name__) if key.name in required - {"material"}]
+    given = YAML(typ="safe").load("\n".join(examples))
+    return kind.model_validate({"material": "glass", **given}).surface(Path())
 
 
 SHAPES |= {kind.__name__: example_of_wall(kind) for kind in WALLS if kind not in (BoxWall, MeshWall)}
