@@ -741,25 +741,25 @@ def pour(deck: Deck, fix: Fix) -> None:
             style = words.next
             if style == "one":
                 words.word(style)
-                diameters, is_range = [(words.number("the diameter", "length"), 1.0)], False
+                diameters, is_range = [(words.positive("the diameter", "length"), 1.0)], False
             elif style == "poly":
                 words.word(style)
                 number = words.whole("the number of diameters")
                 diameters = [
-                    (words.number("a diameter", "length"), words.number("its fraction"))
+                    (words.positive("a diameter", "length"), words.number("its fraction"))
                     for _ in range(number)
                 ]
                 is_range = False
             else:
                 if style == "range":
                     words.word(style)
-                diameters = [(words.number("a diameter", "length"), 1.0) for _ in range(2)]
+                diameters = [(words.positive("a diameter", "length"), 1.0) for _ in range(2)]
                 is_range = diameters[0][0] < diameters[1][0]
                 diameters = diameters if is_range else diameters[:1]
         elif key == "dens":
-            densities = (words.number("the density", "density"), words.number("the density", "density"))
+            densities = (words.positive("the density", "density"), words.positive("the density", "density"))
         elif key == "vol":
-            fraction = words.number("the volume fraction")
+            fraction = words.positive("the volume fraction", "number")
             words.whole("the number of attempts")
         elif key == "rate":
             rate = words.number("the rate", "velocity")

@@ -72,9 +72,9 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
         if key == "type":
             points.type[chosen] = words.type()
         elif key == "diameter":
-            points.radius[chosen] = 0.5 * words.number("the diameter", "length")
+            points.radius[chosen] = 0.5 * words.positive("the diameter", "length")
         elif key == "density":
-            points.density[chosen] = words.number("the density", "density")
+            points.density[chosen] = words.positive("the density", "density")
         elif key in ("x", "y", "z"):
             points.position[chosen, "xyz".index(key)] = words.number("the position", "length")
         elif key in ("vx", "vy", "vz"):

@@ -98,6 +98,12 @@ def read_data(deck: Deck, command: Command, entry: Entry) -> None:
             if len(parts) < 7:
                 raise DeckError(command, f"{path.name}:{number}: an atom has id type diameter density x y z.")
             rows.append(floats(parts[:7]))
+            if min(rows[-1][2:4]) <= 0.0:
+                raise DeckError(
+                    command,
+                    f"{path.name}:{number}: diameter and density are {parts[2]} and {parts[3]}; give numbers "
+                    "above 0.",
+                )
         elif section == "Velocities":
             velocities[int(floats(parts[:1])[0])] = floats(parts[1:7])
     deck.box, deck.box_entry = tuple(box), entry
