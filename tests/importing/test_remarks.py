@@ -263,6 +263,15 @@ def test_words_of_what_is_not_needed_are_permitted(tmp_path, lines):
             [("fix g all gravity 9.81 vector 0 0 -1\n", "fix p all pour 10 1 7 region box diam one 0.004\n")],
             "fix pour needs a fix gravity along -z",
         ),
+        ("lammps", [("diameter 0.004", "diameter 0")], "the diameter is 0; give a number above 0"),
+        (
+            "lammps",
+            [("fix i", "fix p all pour 10 1 7 region box diam one 0.004 dens -1 -1\nfix i")],
+            "the density is -1; give a number above 0",
+        ),
+        ("lammps", [("run 100", "run INF")], "the number of steps is INF"),
+        ("lammps", [(HOOKE, GRANULAR.replace("1e7", "0"))], "E is 0; give a number above 0"),
+        ("lammps", [("history 1e4", "history -1")], "Kn is -1; give a number above 0"),
         (
             "liggghts",
             [("particles_in_region 5", "particles_in_region 5 orientation up")],
