@@ -119,8 +119,8 @@ def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
     check_host(folder, list(QUICK), "usual")
 
 
-OTHER_KERNELS = {"gpu": "clumps", "long": "heat", "forked": "walls", "ranks": "heat"}
-"""Scene of the usual test run by kind of execution that compiles other kernels."""
+OTHER_KERNELS = {"gpu": "clumps", "long": "heat", "forked": "walls"}
+"""Scene of the usual test run by kind of execution that compiles other kernels; for ranks: `mpi/test_ranks`."""
 
 
 @pytest.mark.parametrize("kind", OTHER_KERNELS)
@@ -133,7 +133,7 @@ def test_other_kernels_give_the_same_bits(folder, kind):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("kind", ["host", *OTHER_KERNELS])
+@pytest.mark.parametrize("kind", ["host", *OTHER_KERNELS, "ranks"])
 def test_each_scene_has_the_same_bits(folder, scene, kind):
     skip_if_missing(kind)
     folder = folder / "each"
