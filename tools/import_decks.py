@@ -202,7 +202,9 @@ def main() -> None:
         "names", nargs="*", metavar="NAME", help="part of the name of a script (default: all)"
     )
     parser.add_argument("--budget", type=float, default=60.0, metavar="S", help="seconds for each run")
-    parser.add_argument("--seeds", type=int, choices=(1, 2, 3), default=2, help="runs of each code")
+    parser.add_argument(
+        "--seeds", type=int, choices=range(1, 9), metavar="N", default=2, help="runs of each code"
+    )
     parser.add_argument(
         "--out", type=Path, default=Path("out/decks"), metavar="DIR", help="files of the runs"
     )

@@ -10,6 +10,7 @@ from granflow.observers.metrics import MetricMeter, metric_meters
 from granflow.plan.build import plan_for
 from granflow.scene.blocks.metrics import (
     METRIC_QUANTITIES,
+    CoordinationMetric,
     Reading,
     anisotropy,
     center_of_mass,
@@ -345,6 +346,7 @@ def test_scene_metrics_are_reported_by_name():
     particles = particles_of(
         5000, position=random_points(5000), group=kind, material=kind, radius=radius,
         mass=2500.0 * 4.0 / 3.0 * np.pi * radius**3, fixed=np.zeros(5000, np.uint8), coordination_number=np.full(5000, 3),
+        clump=np.full(5000, -1),
     )  # fmt: skip
     snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
     for metric, meter in metric_meters(plan_for(scene)).items():
@@ -449,3 +451,29 @@ def test_height_of_a_level_bed_and_of_its_volume():
     meter.update(snapshot_of(particles=particles))
     assert np.isnan(meter.readings()["bed_height"])
     assert "no particle in the region has two contacts" in meter.remark
+
+
+def test_coordination_counts_the_contacts_of_a_clump_as_those_of_one_particle():
+    """A rod of two spheres with one contact each is no rattler; a sphere with one contact is one.
+
+    Ids 0, 1: a rod, centers at 0.1 and 0.3. Id 2: a sphere at 0.6 with one contact. Ids 3, 4: a rod with two
+    contacts with particles and one with a wall, at 1.1 and 1.3.
+    """
+    particles = particles_of(
+        5, id=np.arange(5), position=np.array([[x, 0.0, 0.0] for x in (0.1, 0.3, 0.6, 1.1, 1.3)]),
+        clump=np.array([0, 0, -1, 3, 3]), coordination_number=np.array([1, 1, 1, 0, 2]),
+        wall_contact_count=np.array([0, 0, 0, 1, 0]), fixed=np.zeros(5, np.uint8),
+    )  # fmt: skip
+    whole = CoordinationMetric().measure(snapshot_of(particles=particles), None)
+    assert whole.numbers == pytest.approx(
+        {
+            "coordination_number": 5.0 / 3.0,
+            "mechanical_coordination_number": 2.0,
+            "wall_coordination_number": 1.0 / 3.0,
+            "rattler_share": 1.0 / 3.0,
+        }
+    )
+    region = Box(min=[0.0, -1.0, -1.0], max=[1.15, 1.0, 1.0])  # cuts the second rod, whose center is at 1.2
+    left = CoordinationMetric(region=region).measure(snapshot_of(particles=particles), None)
+    assert left.numbers["coordination_number"] == 1.5
+    assert left.numbers["rattler_share"] == 0.5

@@ -855,7 +855,7 @@ def coordination(with_particles: np.ndarray, with_walls: np.ndarray) -> dict[str
 
 class CoordinationMetric(Metric):
     """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with
-    walls.
+    walls; a clump is one particle with the contacts of its spheres.
 
     (C. Thornton, Geotechnique 50 (2000) 43.)
 
@@ -873,11 +873,20 @@ class CoordinationMetric(Metric):
     )
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
-        """See `Metric`; of the mobile particles with centers inside the region."""
+        """See `Metric`; of the mobile particles with centers inside the region.
+
+        A clump is one particle with the contacts of all of its spheres; its center is the mean of theirs.
+        """
         particles = mobile_particles(snapshot.particles)
-        inside = _inside(particles["position"], self.region)
-        walls = _wall_contacts(particles)[inside]
-        return Reading(coordination(particles["coordination_number"][inside], walls))
+        own = particles["id"]
+        clump = particles.get("clump", np.full(len(own), -1))
+        _, body, spheres = np.unique(
+            np.where(clump >= 0, clump, own), return_inverse=True, return_counts=True
+        )
+        center = [np.bincount(body, each) / spheres for each in particles["position"].astype(float).T]
+        inside = _inside(np.column_stack(center), self.region)
+        counts = (particles["coordination_number"], _wall_contacts(particles))
+        return Reading(coordination(*(np.bincount(body, each)[inside] for each in counts)))
 
 
 # Position and content
