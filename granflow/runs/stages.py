@@ -116,9 +116,9 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
         target = targets[index]
         if is_off_target(target, forces[index], series):
             area = motion.area_at(engine.plan.walls)
-            present = area and area * target / motion.force
+            present_area = area and area * target / motion.force
             yield _sentence(
-                motion, stage, engine.time, (float(forces[index]), target), not series.any(), present
+                motion, stage, engine.time, (float(forces[index]), target), not series.any(), present_area
             )
 
 

@@ -7,6 +7,7 @@ from scene_builders import SOFT, build_scene, particle_group, plane
 from granflow.errors import SceneError
 from granflow.load import Scene
 from granflow.plan.build import plan_for
+from granflow.runs.stages import off_target
 from granflow.simulation import Simulation
 
 DIAMETER, GAP = 0.01, 0.002
@@ -44,12 +45,18 @@ def test_force_is_the_pressure_on_the_present_section(taichi_f64):
         assert [each.force for each in simulation.plan.controlled_motions] == pytest.approx(
             PRESSURES * (DIAMETER + GAP) ** 2
         )
+        simulation.run(until=0.001)
+        warned = list(off_target(simulation.engine, "run", []))
         result = simulation.run()
         last = simulation.snapshot()
     moved = np.array([last.totals[f"wall_displacement.high_{axis}"] for axis in "xyz"])
     np.testing.assert_allclose(moved, GAP + 2.0 * overlap, rtol=1e-9)
     np.testing.assert_allclose(last.particles["position"][0], DIAMETER / 2 - overlap, rtol=1e-9)
     assert not [each for each in result.warnings if "off its target" in each]
+    assert len(warned) == 3 and all(
+        f"walls.high_{axis}.motion" in sentence and "0 N (0 Pa) instead of" in sentence and f"({pressure:.3g} Pa)" in sentence
+        for axis, sentence, pressure in zip("xyz", warned, PRESSURES, strict=True)
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
