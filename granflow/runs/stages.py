@@ -126,7 +126,7 @@ def box_off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]
     """A sentence on the axes of a deforming box whose pressure is off the target at the end of a stage."""
     targets = target_pressures(engine.state)
     pressures = box_pressures(engine.state)
-    series = np.array([sample[-len(AXES) :] for sample in samples])
+    series = np.array([sample[-len(AXES) :] for sample in samples]).reshape(len(samples), len(AXES))
     off = [k for k, target in targets.items() if is_off_target(target, pressures[k], series[:, k])]
     if not off:
         return

@@ -11,6 +11,7 @@ from granflow.load import Scene
 from granflow.parallel.refusals import refuse_on_ranks
 from granflow.plan.build import plan_for
 from granflow.runs.read_run import read_run
+from granflow.runs.stages import box_off_target
 from granflow.simulation import Simulation
 
 AXES = "xyz"
@@ -139,7 +140,9 @@ def test_pressures_off_their_targets_are_a_warning_and_frames_have_the_widths(ta
     with Simulation(scene, out=tmp_path / "run") as simulation:
         simulation.run()
         last = simulation.snapshot()
+        (without_samples,) = box_off_target(simulation.engine, "control", [])
     (sentence,) = [each for each in read_run(tmp_path / "run").result.warnings if "off its target" in each]
+    assert without_samples == sentence  # a stage that ends before its first sample
     assert sentence.startswith("stages.1.deformation") and "at the end of stage control (0.005 s)" in sentence
     along = sentence.split("off its target along ")[1].split("; ")[0]
     reached = of_axes(last, "box_pressure")
