@@ -251,7 +251,8 @@ These keys may change, with --set or in scene_as_run.yaml; a change of any other
   output.interval, .timeseries_interval, .particles, .frames_per_rank, .contacts, .walls, .checkpoint
   run.duration; duration, kinetic_energy_below, until, min_duration and max_duration of the current stage \
 and later
-    ones, or of the last stage of a completed run; stages added at the end
+    ones, or of the last stage of a completed run
+  a new stage at the end, such as --set 'stages.2={name: more, duration: 0.5 s}' after stages 0 and 1
   stages, appears_at and vanishes_at of walls: opening a gate
   motion of walls, if the position remains continuous: end a motion with end: and add another with start:
   friction and rolling_friction of pairs, if both the old and the new value are above 0

@@ -291,17 +291,25 @@ def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition
 
 
 def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
-    """Copy of a list node with one item replaced. Raises _Refused for an invalid index."""
+    """Copy of a list node with one item replaced, or with one more if the index is that after the last.
+
+    Raises _Refused for an invalid index.
+    """
     items = list(node.items or ())
     index = keys[depth]
     if keys[depth - 1] in SINGLE_ITEMS and len(items) == 1 and not index.isdigit():
         return replace(node, items=[_with(items[0], keys, value, position, depth)])
+    is_new = index == str(len(items))
+    if is_new and depth + 1 == len(keys):
+        return replace(node, items=[*items, value])
     if not (index.isascii() and index.isdigit() and int(index) < len(items)):
         if len(items) > 1:
             numbers = f"items 0 to {len(items) - 1}"
         else:
             numbers = "1 item" if items else "0 items"
-        raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so the index {index} is invalid.")
+        parent = dotted(keys[:depth])
+        remedy = f" To append an item, give it as a whole: {parent}.{index}={{..}}." if is_new else ""
+        raise _Refused(f"{parent} is a list of {numbers}, so the index {index} is invalid.{remedy}")
     items[int(index)] = _with(items[int(index)], keys, value, position, depth + 1)
     return replace(node, items=items)
 

@@ -130,6 +130,11 @@ OVERRIDES = [
     ("walls.tube.radius=3 Pa",
      "walls.tube.radius is 3 Pa, but Pa is a unit of pressure and a length is expected, such as 4 mm."),
     ("stages.5.duration=3", "stages is a list of items 0 to 2, so the index 5 is invalid."),
+    ("stages.3.duration=3",
+     "stages is a list of items 0 to 2, so the index 3 is invalid. To append an item, give it as a whole: "
+     "stages.3={..}."),
+    ("stages.3={name: fill, duration: 1 s}",
+     "stages.3.name is fill, but stages.0 has the same name; give each stage a different name."),
     ("stages.first.duration=3", "stages is a list of items 0 to 2, so the index first is invalid."),
     ("contact.normal.restitution_at=peak",
      "contact.normal.restitution_at is peak, but it must be one of impact, max_overlap, constant. "

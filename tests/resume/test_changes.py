@@ -49,6 +49,7 @@ def changed():
         ("walls.gate.vanishes_at=2 s", "walls.gate.vanishes_at was 1.0 and is 2.0"),
         ("walls.lid.motion.0.end=1 s", "walls.lid.motion.0.end was not given and is 1.0"),
         ("stages.1.duration=1 s", "stages.1.duration was 0.02 and is 1.0"),
+        ("stages.2={name: more, duration: 1 s}", "stages.2.duration was not given and is 1.0"),
         ("numerics.max_overlap=0.5", "numerics.max_overlap was 0.3 and is 0.5"),
         ("output.checkpoint.keep=5", "output.checkpoint.keep was 100 and is 5"),
         ("expect=[{quantity: particle_count, above: 3}]", "expect was [] and is not given"),
