@@ -122,9 +122,10 @@ def table_in(
     """The table in the text of the file `path`; None without a header.
 
     The header is the first line that is not empty and not a comment, or a comment before it whose names
-    `is_header` accepts. The separator is the first of those in the header with accepted names, otherwise the
-    first of them; a first line sep=; as spreadsheets write it names another one. Raises FileError for a row
-    that is not CSV, and for a header with a name twice.
+    `is_header` accepts and for which one of the first rows has as many cells. The separator is the first of
+    those in the header with accepted names, otherwise the first of them; a first line sep=; as spreadsheets
+    write it names another one. Rows may have another separator than accepted names. Raises FileError for a
+    row that is not CSV, and for a header with a name twice.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     if lines and (found := SEPARATOR_LINE.fullmatch(lines[0][1].strip())):
@@ -135,13 +136,30 @@ def table_in(
         used = [mark for mark in separators if mark is None or mark in heading] or separators[-1:]
         headers = [(_names(heading, mark, path, n), mark) for mark in used]
         accepted = [header for header in headers if is_header(header[0])]
+        names, mark = (accepted or headers)[0]
+        below = [(m, row) for m, row in lines[index + 1 :] if not _is_comment(row)]
+        if accepted and below:
+            marks = list(dict.fromkeys([mark, *separators]))
+            scores = [_number_count(len(names), each, path, below[:MOST_COMMENTS]) for each in marks]
+            if is_comment and max(scores) < 0:
+                continue
+            mark = marks[scores.index(max(scores))]
         if accepted or not is_comment:
-            names, mark = (accepted or headers)[0]
             _refuse_repetition(names, path, n)
-            rows = ((m, _cells(row, mark, path, m)) for m, row in lines[index + 1 :] if not _is_comment(row))
+            rows = ((m, _cells(row, mark, path, m)) for m, row in below)
             trimmed = tuple((m, _trimmed(cells, len(names))) for m, cells in rows)
             return Table(tuple(names), mark, n, trimmed, text.endswith(("\n", "\r")))
     return None
+
+
+def _number_count(width: int, separator: str | None, path: Path, rows: Iterable[tuple[int, str]]) -> int:
+    """How many cells are numbers in the first of `rows` (line number, text) that has `width` cells; -1
+    without such a row."""
+    for n, row in rows:
+        cells = _trimmed(_cells(row, separator, path, n), width)
+        if len(cells) == width:
+            return sum(is_number(cell if separator == "," else cell.replace(",", ".")) for cell in cells)
+    return -1
 
 
 def _refuse_repetition(names: Sequence[str], path: Path, line: int) -> None:

@@ -212,7 +212,7 @@ def _text(path: Path, needs_header: bool) -> tuple[ParticleTable, list[RowProble
     table = table_in(read_text(path), path, SEPARATORS, _is_header)
     if table is None:
         raise SceneError(f"{path}: the file contains no {_content(needs_header)}.")
-    expected = f"the header has {len(table.names)} columns"
+    expected = f"the header in line {table.heading_line} has {len(table.names)} columns"
     first_row = [name if table.separator == "," else name.replace(",", ".") for name in table.names]
     if not needs_header and len(first_row) == len(PLAIN_COLUMNS) and all(map(is_number, first_row)):
         expected = f"{', '.join(PLAIN_COLUMNS)} are expected"
@@ -311,9 +311,15 @@ def _numbers(table: Table, index: int, problems: list[RowProblem]) -> np.ndarray
         line, cells = table.rows[k]
         if not is_number(cells[index]):
             problems.append(
-                (line, f"{table.names[index]} is {cells[index] or 'empty'}, but a number is expected.")
+                (line, f"{table.names[index]} is {_quoted(cells[index])}, but a number is expected.")
             )
     return numbers
+
+
+def _quoted(cell: str) -> str:
+    """A cell for a message; in quotes unless it is a word, so that its punctuation is not that of the
+    sentence."""
+    return (cell if cell.isalnum() else f"'{cell}'") if cell else "empty"
 
 
 def _columns_by_quantity(names: Sequence[str]) -> dict[str, list[int]]:

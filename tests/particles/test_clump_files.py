@@ -78,9 +78,20 @@ def test_a_saved_scene_has_the_spheres_and_the_path_of_the_file(tmp_path):
     assert again.particles["stones"].clump.spheres[1].position == pytest.approx((0.006, 0.0, 0.0))
 
 
+@pytest.mark.parametrize("heading", ["# x y z r, mm", "# x y z r", "# x, y, z, r", "# three spheres, in mm"])
+def test_a_comment_with_the_names_of_the_columns_does_not_change_the_rows(heading, tmp_path):
+    rows = "-2.0, 0, 0, 2.0\n 0.0, 0, 0.5, 2.2\n"
+    (tmp_path / "rod.csv").write_text(f"{heading}\n{rows}")
+    spheres = scene_with({"file": "rod.csv", "scale": 0.001}, tmp_path).particles["stones"].clump.spheres
+    assert [(*each.position, each.radius) for each in spheres] == [
+        pytest.approx(row) for row in ((-0.002, 0, 0, 0.002), (0, 0, 0.0005, 0.0022))
+    ]
+
+
 CASES = [
     ("x,y,z,r\n0,0,0,1e-3\n1e-3,0,0,-1\n", "stone.csv:3: the radius must be above 0."),
     ("x,y,z,r\n0,0,0,1e-3\n1e-3,a,0,1\n", "stone.csv:3: y is a, but a number is expected."),
+    ("x y z r\n0 0 0 1\n1; 0 0 1\n", "stone.csv:3: x is '1;', but a number is expected."),
     ("0 0 0 1\n1 0 0\n", "stone.csv:2: the row has 3 values, but x, y, z, r are expected."),
     ("0 0 0\n1 0 0\n", "stone.csv:1: the first line must have the numbers x, y, z and r of a sphere, or be a header"),
     ("0 0 0 1\n1 0 0 1e300\n", "stone.csv:2: a length of this magnitude is out of range."),

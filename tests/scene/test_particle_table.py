@@ -50,7 +50,7 @@ def test_velocity_angular_velocity_and_material_are_read(tmp_path):
 
 
 BAD = {
-    "x,y,z,r\n0,0,0,1\n0,0,1\n": ["3: the row has 3 values, but the header has 4 columns."],
+    "x,y,z,r\n0,0,0,1\n0,0,1\n": ["3: the row has 3 values, but the header in line 1 has 4 columns."],
     "x,y,z,r\n0,0,abc,1\n0,,0,1\n": ["2: z is abc, but a number is", "3: y is empty, but a number is"],
     "x y z r\n0 nan 0 1\n0 0 0 inf\n": [
         "2: the position is not finite.",
@@ -78,7 +78,7 @@ BAD = {
     "x,y,z,r\n": [" the file contains no particles."],
     "": [" the file contains no particles."],
     "x y z r\n" + "0 0 0\n" * (MOST_SHOWN + 5): [
-        *(f"{n}: the row has 3 values, but the header has 4 columns." for n in range(2, MOST_SHOWN + 2)),
+        *(f"{n}: the row has 3 values, but the header in line 1 has 4 columns." for n in range(2, MOST_SHOWN + 2)),
         " 5 more rows have problems, which are not shown.",
     ],
 }  # fmt: skip
