@@ -5,6 +5,7 @@ threads.
 """
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,6 +115,10 @@ MAX_SWEEPS = 2000
 STALLED_SWEEPS = 300
 """Number of sweeps without a smaller largest overlap after which they are reported: a sphere is inside an
 obstacle."""
+TRIED_FRACTIONS = (0.5, 0.45, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1, 0.05)
+"""Solid fractions at which a smaller number of spheres is tried if the requested number does not fit."""
+MAX_TRIED = 20_000
+"""Largest number of spheres that is tried: takes some seconds."""
 OVERSHOOT = 1.4
 """Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2,
 1.4)."""
@@ -129,23 +134,55 @@ def pack_at_random(
     less in regions only a few diameters wide).
 
     Raises RegionFullError if the solid fraction would exceed MAX_PACKING_FRACTION, or if overlaps remain
-    after MAX_SWEEPS sweeps.
+    after MAX_SWEEPS sweeps, with a number of spheres that can be packed.
     """
     check_width(region, radius.max())
     obstacles = existing.near(region)
     solid_fraction = np.sum(sphere_volume(radius)) / region.volume
-    if solid_fraction > MAX_PACKING_FRACTION:
-        estimate = len(radius) * MAX_PACKING_FRACTION / solid_fraction
-        raise RegionFullError(f"about {float(f'{estimate:.2g}'):.0f} fit", packing_remedy(solid_fraction))
+    trial = deepcopy(random)
+    position = None
+    if solid_fraction <= MAX_PACKING_FRACTION:
+        position = _packed(region, radius, obstacles, random)
+    if position is None:
+        raise RegionFullError(
+            _packable(region, radius, obstacles, trial, solid_fraction), packing_remedy(solid_fraction)
+        )
+    return position
+
+
+def _packed(
+    region: FilledRegion, radius: np.ndarray, obstacles: Spheres, random: np.random.Generator
+) -> np.ndarray | None:
+    """Centers (n, 3) [m] of a random packing of spheres of radii (n,) [m]; None if overlaps remain."""
+    solid_fraction = np.sum(sphere_volume(radius)) / region.volume
     start = region.sample(radius, random)
     spheres = Spheres(start, radius).joined(obstacles)
     swelling = 1 + min(SWELLING, (MAX_PACKING_FRACTION / solid_fraction) ** (1 / 3) - 1)
     position = separate_overlapping(spheres, len(radius), region, swelling)
-    overlapping = overlapping_pairs(Spheres(position, spheres.radius), len(radius))
-    if len(overlapping):
-        left_out = greedy_cover(overlapping, len(radius))
-        raise RegionFullError(only_fit(len(radius) - left_out), packing_remedy(solid_fraction))
+    if len(overlapping_pairs(Spheres(position, spheres.radius), len(radius))):
+        return None
     return position[: len(radius)]
+
+
+def _packable(
+    region: FilledRegion,
+    radius: np.ndarray,
+    obstacles: Spheres,
+    random: np.random.Generator,
+    solid_fraction: float,
+) -> str:
+    """Statement how many of the spheres fit: the largest number that was packed, of the first spheres.
+
+    The numbers tried fill TRIED_FRACTIONS of the region, and are rounded to two digits. More than MAX_TRIED
+    spheres are not packed for a message.
+    """
+    counts = [float(f"{len(radius) * each / solid_fraction:.2g}") for each in TRIED_FRACTIONS]
+    for count in dict.fromkeys([*map(int, counts), 1]):
+        if not 0 < count < len(radius):
+            continue
+        if count > MAX_TRIED or _packed(region, radius[:count], obstacles, deepcopy(random)) is not None:
+            return f"about {count} fit" if count > 1 else only_fit(1)
+    return only_fit(0)
 
 
 def separate_overlapping(
@@ -229,20 +266,6 @@ def overlapping_pairs(spheres: Spheres, mobile_count: int) -> np.ndarray:
     """Overlapping pairs (p, 2) with at least one sphere among the first `mobile_count`."""
     first, second = mobile_pairs(spheres.position, spheres.radius, 0.0, mobile_count)
     return np.stack([first, second], axis=1)
-
-
-def greedy_cover(pairs: np.ndarray, mobile_count: int) -> int:
-    """Number of mobile spheres to remove, those with most overlaps first, until no overlapping pair remains.
-
-    `pairs` (p, 2): indices, at least one of each pair below `mobile_count`. An upper bound of the necessary
-    number.
-    """
-    removed = 0
-    while len(pairs):
-        worst = np.bincount(pairs.ravel())[:mobile_count].argmax()
-        pairs = pairs[np.all(pairs != worst, axis=1)]
-        removed += 1
-    return removed
 
 
 def check_width(region: RegionSampler, radius: float) -> None:
