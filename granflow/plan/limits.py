@@ -75,8 +75,9 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
             if _is_cut(wall, face, along, reach):
                 raise SceneError(
                     f"{scene.locate('walls', wall.name)}: walls.{wall.name} differs between the two ends of "
-                    f"the periodic axis {AXES[axis]}. Extend it straight from end to end, or keep a distance "
-                    f"of {reach:.4g} m from both."
+                    f"the periodic axis {AXES[axis]}: walls have no periodic images. Continue it by "
+                    f"{reach:.4g} m beyond both ends with the shape of its image, or keep this distance from "
+                    "both."
                 )
             if any(_is_cut(wall, face - each, along, reach) for each in _slides(scene, wall, axis)):
                 raise SceneError(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from geometry.meshes import write
 from scene_builders import (
     assert_lists_hold,
     build_scene,
@@ -181,6 +182,28 @@ def test_wall_that_differs_at_the_ends_of_a_periodic_axis_is_rejected(wall, fits
     else:
         with pytest.raises(
             SceneError, match="walls.wall differs between the two ends of the periodic axis x"
+        ):
+            plan_for(scene)
+
+
+@pytest.mark.parametrize("beyond", [0.0, 0.02])
+def test_a_periodic_mesh_continues_beyond_both_ends(beyond, tmp_path, monkeypatch):
+    """A wavy sheet of two whole periods lacks its image next to the ends, unless it goes on there."""
+    monkeypatch.chdir(tmp_path)  # in which scenes without a file look for meshes
+    x, y = np.meshgrid(np.arange(-beyond, 0.1005 + beyond, 0.005), [0.0, 0.1], indexing="ij")
+    points = np.stack([x, y, 0.05 + 0.01 * np.sin(40.0 * np.pi * x)], axis=-1).reshape(-1, 3)
+    a = np.arange(0, len(points) - 2, 2)
+    write(tmp_path / "wave.obj", points, np.concatenate([[a, a + 1, a + 2], [a + 1, a + 3, a + 2]], axis=1).T)
+    scene = build_scene(
+        {"ball": particle_group([[0.05, 0.05, 0.08]])},
+        walls={"wall": {"shape": "mesh", "file": "wave.obj", "material": "glass"}},
+        domain=domain([0.1] * 3, "x"),
+    )
+    if beyond:
+        assert plan_for(scene).walls
+    else:
+        with pytest.raises(
+            SceneError, match="Continue it by .* m beyond both ends with the shape of its image"
         ):
             plan_for(scene)
 
