@@ -140,6 +140,16 @@ DIMENSIONS: dict[str, Dimension] = {
         _unit_table("W/m/K 1, W/(m*K) 1, mW/m/K 1e-3, mW/(m*K) 1e-3"),
     ),
     "power": Dimension("a power", "1 W", _unit_table("W 1, kW 1e3, mW 1e-3, uW 1e-6")),
+    "velocity_per_force": Dimension(
+        "a velocity per force",
+        "0.01 m/(s N)",
+        {"m/(s N)": Fraction(1), **_unit_table("m/(s*N) 1, m/s/N 1, mm/s/N 1e-3")},
+    ),
+    "rate_per_pressure": Dimension(
+        "a strain rate per pressure",
+        "1e-4 1/(Pa s)",
+        {"1/(Pa s)": Fraction(1), **_unit_table("1/(Pa*s) 1, 1/Pa/s 1, 1/kPa/s 1e-3")},
+    ),
     "heat_flux": Dimension("a heat flux", "1 kW/m2", _unit_table("W/m2 1, W/m^2 1, W/m² 1, kW/m2 1e3")),
 }
 """Dimensions by name; the first unit of each is the SI unit."""

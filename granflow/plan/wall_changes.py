@@ -27,13 +27,26 @@ def wall_named(plan: Plan, name: str) -> PlannedWall:
 
 
 def without_wall(plan: Plan, name: str, time: float) -> Plan:
-    """The plan with a wall that vanishes at `time` [s]. Raises GranflowError if particles move with it."""
+    """The plan with a wall that vanishes at `time` [s].
+
+    Raises GranflowError if particles move with it, or if it bounds the section of a servo.
+    """
     attached = [group.name for group in plan.groups if group.spec.attached_to == name]
     if attached:
         raise GranflowError(
             f"walls[{name!r}] cannot be removed: the particles of {', '.join(attached)} move with it."
         )
+    _refuse_in_section(plan, name, "removed")
     return with_wall(plan, vanishing(wall_named(plan, name), time))
+
+
+def _refuse_in_section(plan: Plan, name: str, changed: str) -> None:
+    """Raise GranflowError for a wall whose distance from another one enters the pressure of a servo."""
+    for motion in plan.controlled_motions:
+        if name in (getattr(motion.spec, "between", None) or ()):
+            raise GranflowError(
+                f"walls[{name!r}] cannot be {changed}: it bounds the section of walls.{motion.name}.motion."
+            )
 
 
 def vanishing(wall: PlannedWall, time: float) -> PlannedWall:
@@ -47,11 +60,13 @@ def with_motions(
     """The plan with a wall that moves with `motions` from `time` [s], from the pose of its present motions
     there.
 
-    Raises GranflowError for a force-controlled wall, or if the wall would be too fast for the time step.
+    Raises GranflowError for a wall that is force-controlled or bounds the section of a servo, or if the wall
+    would be too fast for the time step.
     """
     wall = wall_named(plan, name)
     if any(controlled.name == name for controlled in plan.controlled_motions):
         raise GranflowError(f"walls[{name!r}] is force-controlled: its motion cannot be changed.")
+    _refuse_in_section(plan, name, "given motions")
     return with_wall(plan, replace(wall, motions=(placement_at(present, time), *motions)))
 
 

@@ -37,7 +37,7 @@ from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.gravity import bound_of
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
-from granflow.scene.blocks.motions import MotionSpec
+from granflow.scene.blocks.motions import MotionSpec, TimedMotion
 from granflow.scene.blocks.particles import (
     TimedInsertion,
 )
@@ -736,19 +736,18 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
     """Prescribed pressures require a wall with an area, or walls between which they act; force-controlled
     walls require a constant time step.
 
-    The limits of their gain and mass are computed for one time step.
+    Walls with errors count as names: they have their own messages. The limits of gain and mass are computed
+    for one time step.
     """
     scene = parts.scene
     controlled = [(path, each) for path, each in _motions(scene) if each.force_controlled]
     for path, motion in controlled:
-        for number, name in enumerate(getattr(motion, "between", None) or ()):
-            if name not in scene.walls:
-                yield unknown((*path, "between", number), name, list(scene.walls), "wall")
-            elif not all(each.force_controlled for each in scene.walls[name].motion):
-                reason = (
-                    f"walls.{name} has a prescribed motion; give walls that servos move, or walls at rest"
-                )
-                yield Fault((*path, "between", number), reason)
+        names = getattr(motion, "between", None)
+        yield from unknown_names((*path, "between"), names, parts.names("walls"), "wall")
+        for number, name in enumerate(names or ()):
+            reason = _unfit_for_section(scene, path, motion, name) if name in scene.walls else None
+            if reason is not None:
+                yield Fault((*path, "between", number), f"walls.{name} {reason}")
         key = motion.key_for_area
         wall = scene.walls[str(path[1])]
         if key is not None and not wall.has_area(scene.domain):
@@ -758,6 +757,32 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
         path, motion = controlled[0]
         reason = f"walls.{path[1]} is {motion.kind}, which requires a constant time step; write auto"
         yield Fault(("run", "time_step"), reason)
+
+
+def _unfit_for_section(scene: SceneInput, path: KeyPath, motion: TimedMotion, wall: str) -> str | None:
+    """Why a wall cannot bound the section of a servo, the motion at `path`, with the remedy; None for a wall
+    that can."""
+    if not all(each.force_controlled for each in scene.walls[wall].motion):
+        return "has a prescribed motion; give walls that servos move, or walls at rest"
+    if not _is_present_during(scene, scene.walls[wall], motion, scene.walls[str(path[1])]):
+        return "is absent during a part of this motion; give the motion the stages or times of that wall"
+    return None
+
+
+def _is_present_during(scene: SceneInput, wall: Wall, motion: TimedMotion, moved: Wall) -> bool:
+    """Whether a wall is present as long as a motion of the wall `moved` can act.
+
+    A motion in stages acts from the first of them to the last.
+    """
+    names = scene.stage_names
+    given = [names.index(name) for name in motion.stages or names if name in names]
+    during = names[min(given, default=0) : max(given, default=-1) + 1]
+    acting = [name for name in during if moved.stages is None or name in moved.stages]
+    return (
+        (wall.stages is None or set(acting) <= set(wall.stages))
+        and wall.start_time <= max(motion.start_time, moved.start_time)
+        and min(motion.end_time, moved.end_time) <= wall.end_time
+    )
 
 
 def _walls(scene: SceneInput) -> Iterator[tuple[KeyPath, Wall]]:
@@ -931,7 +956,8 @@ def _missing_for_box(scene: SceneInput, total: str) -> Iterator[str]:
     if not list(scene.deformations()):
         yield "it requires a box that deforms; give domain.deformation, or the deformation of a stage"
     elif lacking:
-        yield f"domain.periodic is {', '.join(periodic)}; it requires {lacking} there, too"
+        present = f"{', '.join(periodic)}; it requires {lacking} there, too"
+        yield f"domain.periodic is {present if periodic else f'none; it requires {lacking} there'}"
 
 
 def _total(quantity: str) -> str:
@@ -1098,7 +1124,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("particles",), wall_groups),
     (("stages", "run"), duration),
     (("gravity", "stages"), gamma_requires_gravity),
-    (("run", "domain"), force_controlled_walls),
+    (("run", "domain", "stages"), force_controlled_walls),
     ((), some_particles),
     (("domain",), inside_domain),
     (("domain", "particles", "output"), lees_edwards),

@@ -387,4 +387,7 @@ WallName = Annotated[str, _short, _wall_name[0], _wall_name[1]]
 """Name of a wall, or of a face of a box, such as box.left."""
 PairName = Annotated[str, _pair_name[0], _pair_name[1]]
 """Names of two materials joined by a hyphen, in either order."""
-Names = Annotated[tuple[Text, ...], ListOf(some="[fill, settle]")]
+StageNames = Annotated[tuple[Text, ...], ListOf(some="[fill, settle]")]
+WallNames = Annotated[tuple[Text, ...], ListOf(some="[left, right, front, back]")]
+GroupNames = Annotated[tuple[Text, ...], ListOf(some="[coarse, fine]")]
+MaterialNames = Annotated[tuple[Text, ...], ListOf(some="[glass, steel]")]

@@ -220,6 +220,8 @@ Energy = Annotated[float, Number("energy", above=0)]
 Temperature = Annotated[float, Number("temperature", above=0)]
 HeatCapacity = Annotated[float, Number("heat_capacity", above=0)]
 ThermalConductivity = Annotated[float, Number("thermal_conductivity", above=0)]
+VelocityPerForce = Annotated[float, Number("velocity_per_force", noun="a gain", above=0)]
+RatePerPressure = Annotated[float, Number("rate_per_pressure", noun="a gain", above=0)]
 HeatFlux = Annotated[float, Number("heat_flux")]
 AnyQuantity = Annotated[float, Number("any")]
 """Number in SI units, or text with a unit that has the same factor in all dimensions that know it."""

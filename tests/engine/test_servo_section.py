@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scene_builders import SOFT, build_scene, particle_group, plane
 
-from granflow.errors import SceneError
+from granflow.errors import GranflowError, SceneError
 from granflow.load import Scene
 from granflow.plan.build import plan_for
+from granflow.plan.wall_changes import with_motions, without_wall
 from granflow.runs.stages import off_target
 from granflow.simulation import Simulation
 
@@ -72,6 +73,18 @@ def test_walls_that_enclose_no_section_are_refused(between, message):
     scene["walls"]["high_x"]["motion"][0]["between"] = between
     with pytest.raises(SceneError, match=rf"walls\.high_x\.motion\.between {message}"):
         plan_for(Scene.from_dict(scene))
+
+
+def test_a_program_cannot_remove_or_move_walls_around_a_section():
+    plan = plan_for(servo_box())
+    for change in (
+        lambda: without_wall(plan, "low_x", 0.0),
+        lambda: with_motions(plan, "low_x", [], 0.0, []),
+    ):
+        with pytest.raises(
+            GranflowError, match=r"walls\['low_x'\] cannot be .*: it bounds the section of walls\.high_y"
+        ):
+            change()
 
 
 def test_two_walls_enclose_a_section_with_a_periodic_axis():

@@ -89,6 +89,13 @@ def test_where_returns_the_position_of_a_key(scene):
     assert scene.path == GOOD
 
 
+def test_single_item_in_place_of_a_list_has_the_position_of_its_keys(scene):
+    assert scene.is_given("walls", "tube", "motion", 0, "frequency")
+    assert not scene.is_given("walls", "tube", "motion", 0, "phase")
+    column = GOOD.read_text(encoding="utf-8").splitlines()[27].index("1 mm") + 1
+    assert scene.locate("walls", "tube", "motion", 0, "amplitude") == f"{GOOD}:28:{column}"
+
+
 def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
     path = tmp_path / "again.yaml"
     path.write_text(scene.to_yaml(), encoding="utf-8")

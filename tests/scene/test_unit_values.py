@@ -49,6 +49,8 @@ VALUES = {
                       "J/(g*K)": 1000.0},
     "thermal_conductivity": {"W/m/K": 1.0, "W/(m*K)": 1.0, "mW/m/K": 0.001, "mW/(m*K)": 0.001},
     "power": {"W": 1.0, "kW": 1000.0, "mW": 0.001, "uW": 1e-6},
+    "velocity_per_force": {"m/(s N)": 1.0, "m/(s*N)": 1.0, "m/s/N": 1.0, "mm/s/N": 0.001},
+    "rate_per_pressure": {"1/(Pa s)": 1.0, "1/(Pa*s)": 1.0, "1/Pa/s": 1.0, "1/kPa/s": 0.001},
     "heat_flux": {"W/m2": 1.0, "W/m^2": 1.0, "W/m²": 1.0, "kW/m2": 1000.0}
 }  # fmt: skip
 

@@ -16,12 +16,11 @@ from pydantic import Field
 
 from granflow.schema.faults import Fault, missing, whole
 from granflow.schema.model import Model, optional
-from granflow.schema.quantities import Number
+from granflow.schema.quantities import Number, RatePerPressure
 
 StrainRate = Annotated[float, Number("rate", noun="a strain rate")]
 LargestRate = Annotated[float, Number("rate", noun="a strain rate", above=0)]
 AxialPressure = Annotated[float, Number("pressure", noun="a pressure")]
-Gain = Annotated[float, Number(noun="a gain", above=0)]
 
 
 class AxisDeformation(Model):
@@ -71,10 +70,10 @@ class Deformation(Model):
         description="with pressure: largest magnitude of the strain rate of these axes [1/s]",
         examples=["5 1/s"],
     )
-    gain: Gain | None = optional(
+    gain: RatePerPressure | None = optional(
         "with pressure: strain rate over the deviation from the target [1/(Pa s)]",
         "T / (rho d^2), with the shortest loading or unloading time and the largest density and diameter",
-        examples=[1e-4],
+        examples=["1e-4 1/(Pa s)"],
     )
 
     @property

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from granflow.scene.blocks.particle_regions import ParticleRegion
 from granflow.schema.faults import Fault, whole
-from granflow.schema.model import Model, Names, optional
+from granflow.schema.model import GroupNames, Model, optional
 from granflow.schema.quantities import Number
 
 Share = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
@@ -23,7 +23,7 @@ class StageDeletion(Model):
     StageDeletion(groups=('beads',), fraction=0.5)
     """
 
-    groups: Names | None = optional("groups whose particles are deleted", "all", examples=[["beads"]])
+    groups: GroupNames | None = optional("groups whose particles are deleted", "all", examples=[["beads"]])
     region: ParticleRegion | None = optional(
         "region from which particles are deleted",
         "everywhere",

@@ -35,7 +35,15 @@ from granflow.scene.blocks.primitives import Box
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, whole
 from granflow.schema.messages import selecting_keys, unknown_names
-from granflow.schema.model import Model, Names, choose_by_key, is_name, optional
+from granflow.schema.model import (
+    GroupNames,
+    MaterialNames,
+    Model,
+    WallNames,
+    choose_by_key,
+    is_name,
+    optional,
+)
 from granflow.schema.quantities import Vector3
 from granflow.snapshot import CONTACTS, PARTICLES, PARTS, Snapshot, mobile_particles, selected
 
@@ -168,10 +176,12 @@ def _mean(values: np.ndarray) -> float:
 class TwoComponentGrid(GridSpec, Metric):
     """Grid for the shares of two components: particles of some groups, materials or sizes, and all others."""
 
-    groups: Names | None = Field(
+    groups: GroupNames | None = Field(
         None, description="groups whose particles form the first component", examples=[["red"]]
     )
-    materials: Names | None = Field(None, description="materials whose particles form the first component")
+    materials: MaterialNames | None = Field(
+        None, description="materials whose particles form the first component"
+    )
     smaller_than: q.UnscaledLength | None = Field(
         None, description="diameter below which particles belong to the first component [m]"
     )
@@ -937,7 +947,7 @@ class CenterOfMassMetric(Metric):
     """
 
     kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
-    groups: Names | None = optional(
+    groups: GroupNames | None = optional(
         "groups whose particles are evaluated, fixed ones too", "all mobile particles", examples=[["red"]]
     )
     quantities = (
@@ -993,7 +1003,7 @@ class GranularTemperatureMetric(Metric):
 
     kind: Literal["granular_temperature"] = Field("granular_temperature", description="kind of metric")
     region: Box | None = optional("box whose particles are evaluated", "everywhere")
-    groups: Names | None = optional("groups whose particles are evaluated", "all", examples=[["red"]])
+    groups: GroupNames | None = optional("groups whose particles are evaluated", "all", examples=[["red"]])
     cell: q.PositiveLength | None = optional(
         "edge of cubic cells [m], with the mean velocity of each cell in place of that of all", "one cell"
     )
@@ -1046,7 +1056,7 @@ class SlidingMetric(Metric):
     """
 
     kind: Literal["sliding"] = Field("sliding", description="kind of metric")
-    walls: Names | None = optional(
+    walls: WallNames | None = optional(
         "walls whose contacts are evaluated", "the contacts between particles", examples=[["floor"]]
     )
     quantities = (

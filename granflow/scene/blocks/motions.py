@@ -26,7 +26,7 @@ from granflow.geometry.motion import MotionTable, Poses, ramp, rotation_matrices
 from granflow.geometry.vectors import unit
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
-from granflow.schema.model import FileName, ListOf, Model, Names, choose_by_key, optional
+from granflow.schema.model import FileName, ListOf, Model, StageNames, WallNames, choose_by_key, optional
 from granflow.schema.quantities import Number
 
 LEVEL = 1e-6
@@ -54,7 +54,7 @@ class TimedMotion(Model):
     kind: str = Field(description="kind of motion")
     start: q.Time | None = optional("time at which the motion begins [s]", "start of the run")
     end: q.Time | None = optional("time at which the motion ends [s]", "end of the run", examples=["1.5 s"])
-    stages: Names | None = Field(
+    stages: StageNames | None = Field(
         None,
         description="stages with this motion; its time starts at the first of them",
         examples=[["settle"]],
@@ -952,14 +952,14 @@ class Servo(ForceControlledMotion):
         description="prescribed pressure, force over the area of the wall [Pa]; instead of force",
         examples=["50 kPa"],
     )
-    between: Names | None = optional(
+    between: WallNames | None = optional(
         "with pressure: names of two or four walls, opposite ones in pairs; the pressure then refers to the "
         "section between them at present",
         "the area of this wall",
         examples=[["left", "right", "front", "back"]],
     )
     velocity_max: q.Speed = Field(description="largest speed of the wall [m/s]", examples=["0.1 m/s"])
-    gain: q.Positive | None = optional(
+    gain: q.VelocityPerForce | None = optional(
         "velocity over force difference [m/(s N)]", "from stiffness and time step"
     )
 

@@ -26,10 +26,11 @@ from granflow.schema.messages import suggestion_or_list
 from granflow.schema.model import (
     Flag,
     FlagOrNames,
+    GroupNames,
     ListOf,
     Model,
     Name,
-    Names,
+    StageNames,
     Text,
     choose_by_key,
     optional,
@@ -133,7 +134,7 @@ class ResidenceTime(Model):
         examples=["feed"],
     )
     to: Name = Field(description="flow meter that ends the time", examples=["outlet"])
-    groups: Names | None = optional("groups that count, such as a tracer", "all", examples=[["tracer"]])
+    groups: GroupNames | None = optional("groups that count, such as a tracer", "all", examples=[["tracer"]])
     entered_between: Annotated[tuple[q.Time, q.Time], pair_list("[first, last] time")] | None = optional(
         "only particles that enter in this time count: a pulse [s]",
         "the whole run",
@@ -171,7 +172,7 @@ class FieldGrid(GridSpec):
     )
     cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
     interval: q.PositiveTime | None = optional("time between frames [s]", "output.interval")
-    stages: Names | None = optional("stages in which the fields are written", "all")
+    stages: StageNames | None = optional("stages in which the fields are written", "all")
     quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] | None = optional(
         "fields that are written", "all", examples=[["density", "velocity"]]
     )

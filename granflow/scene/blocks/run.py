@@ -14,7 +14,7 @@ from granflow.scene.blocks.gravity import Gravity
 from granflow.scene.blocks.settings import StageSetting
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
-from granflow.schema.model import ListOf, Model, Name, Names, Text, optional
+from granflow.schema.model import ListOf, Model, Name, StageNames, Text, optional
 from granflow.schema.quantities import Number
 
 # Block `stages`: the parts of a run
@@ -286,7 +286,7 @@ class Damping(Model):
         description="rate of a viscous background drag [1/s]: velocities decay as exp(-drag t)",
         examples=["5 1/s"],
     )
-    stages: Names | None = optional("stages in which the damping acts", "all", examples=[["settle"]])
+    stages: StageNames | None = optional("stages in which the damping acts", "all", examples=[["settle"]])
 
     def values(self, stage: str) -> tuple[float, float]:
         """Cundall ratio and drag rate [1/s] in a stage."""

@@ -37,6 +37,7 @@ from granflow.scene.blocks.run import Damping, Numerics, RunSettings, Stage
 from granflow.scene.blocks.walls.kinds import AnyWall, with_faces
 from granflow.schema import quantities as q
 from granflow.schema.document import Document, yaml_text
+from granflow.schema.messages import path_in_file
 from granflow.schema.model import FileName, ListOf, Model, Name, PairName, Text, WallName, optional
 from granflow.schema.quantities import Number
 
@@ -338,9 +339,12 @@ class SceneInput(Model):
     def is_given(self, *key_path: str | int) -> bool:
         """Whether the file or an override gives this key; False for values from a default or a preset.
 
-        `key_path`: keys and list indices, such as ("stages", 0, "duration").
+        `key_path`: keys and list indices, such as ("stages", 0, "duration"); the index 0 also for a single
+        item in place of a list.
         """
-        return self._document is not None and self._document.find(key_path) is not None
+        if self._document is None:
+            return False
+        return self._document.find(path_in_file(self._document, key_path)) is not None
 
     def locate(self, *key_path: str | int) -> str:
         """Source position of the value of a key, as `file:line:column`, for error messages.
@@ -350,10 +354,10 @@ class SceneInput(Model):
         """
         if self._document is None:
             return self.path.name or "scene"
-        return str(self._document.value_position(key_path))
+        return str(self._document.value_position(path_in_file(self._document, key_path)))
 
     def where(self, *key_path: str | int) -> str:
         """Source position of a key, as `file:line`; for a missing key, of the nearest existing parent key."""
         if self._document is None:
             return self.path.name or "scene"
-        return self._document.where(key_path)
+        return self._document.where(path_in_file(self._document, key_path))

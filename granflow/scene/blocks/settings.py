@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from granflow.contact import registry
 from granflow.scene.blocks.particle_regions import ParticleRegion
 from granflow.schema.faults import Fault, whole
-from granflow.schema.model import Model, Names, add_keys, optional, optional_key
+from granflow.schema.model import GroupNames, Model, add_keys, optional, optional_key
 from granflow.visible_text import alternatives
 
 
@@ -26,7 +26,7 @@ class StageSetting(Model):
     ('beads',)
     """
 
-    groups: Names | None = optional("groups whose particles are set", "all", examples=[["beads"]])
+    groups: GroupNames | None = optional("groups whose particles are set", "all", examples=[["beads"]])
     region: ParticleRegion | None = optional(
         "region in which the centers of the particles are",
         "everywhere",

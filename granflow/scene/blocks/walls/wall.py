@@ -16,7 +16,7 @@ from granflow.scene.blocks.motions import MotionSpec
 from granflow.scene.blocks.wear import WearSpec
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, redundant
-from granflow.schema.model import ListOf, Model, Names, Text, optional
+from granflow.schema.model import GroupNames, ListOf, Model, StageNames, Text, optional
 
 
 class WallNote(NamedTuple):
@@ -40,8 +40,8 @@ class Wall(Model):
     material: Text = Field(description="name of the wall's material")
     appears_at: q.Time | None = optional("time at which the wall appears [s]", "start of the run")
     vanishes_at: q.Time | None = optional("time at which the wall vanishes [s]", "never", examples=["1 s"])
-    stages: Names | None = optional("stages in which the wall is present", "all", examples=[["settle"]])
-    groups: Names | None = optional(
+    stages: StageNames | None = optional("stages in which the wall is present", "all", examples=[["settle"]])
+    groups: GroupNames | None = optional(
         "groups of particles that touch the wall; all others pass through it", "all", examples=[["coarse"]]
     )
     motion: Annotated[tuple[MotionSpec, ...], ListOf(one=True)] = Field(
