@@ -61,6 +61,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         region_findings(plan, times),
         servo_findings(plan, times),
         sideways_findings(plan),
+        backward_findings(plan),
         flow_findings(plan),
         fixed_findings(plan),
         wear_findings(plan),
@@ -738,6 +739,26 @@ def sideways_findings(plan: Plan) -> Iterator[Finding]:
                 ("walls", motion.name, "motion", motion.motion),
                 ": its direction is along the surface of the wall, so that only friction can balance the "
                 f"force of the servo. A direction across the surface is {_vector_text(normals[0])}.",
+            )
+
+
+def backward_findings(plan: Plan) -> Iterator[Finding]:
+    """Servos whose force acts into the half space behind their plane, where no particles are: without
+    adhesion, no contact balances it."""
+    held = {group.attached_to for group in plan.scene.particles.values()}
+    for motion in plan.controlled_motions:
+        plane = plan.walls[motion.wall].surface.plane
+        if (
+            plane is not None
+            and motion.spec.follows_force
+            and motion.name not in held
+            and not plan.laws.attracts
+            and float(plane[1] @ motion.direction) <= -LEVEL
+        ):
+            yield (
+                ("walls", motion.name, "motion", motion.motion),
+                ": its direction is away from the particles, which are on the other side of the plane, so "
+                f"that it never presses on them. The direction toward them is {_vector_text(plane[1])}.",
             )
 
 

@@ -336,12 +336,16 @@ _OF_PRESSURE = {"weight": "the weight", "wall": "a wall", "box": "the box"}
 
 @dataclass(frozen=True)
 class BedPressure:
-    """A pressure [Pa] in the bed at rest, its cause in words, and the number of contacts that carry it."""
+    """A pressure [Pa] in the bed at rest, its cause in words, and the number of contacts that carry it.
+
+    whole_force:  force [N] of a wall on a single particle, which carries all of it; None for a bed
+    """
 
     kind: PressureKind
     cause: str
     pressure: float
     contact_count: float
+    whole_force: float | None = None
 
     def largest_force(self, diameter: float) -> float:
         """Largest contact force [N] of spheres with a diameter [m].
@@ -355,6 +359,8 @@ class BedPressure:
 
     def force_on(self, pair: PairCase) -> float:
         """Largest contact force [N] of a pair: the pressure acts on its smaller particle."""
+        if self.whole_force is not None:
+            return self.whole_force
         return self.largest_force(2.0 * pair.overlap_radius)
 
 
@@ -371,12 +377,12 @@ def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
         )
     for motion in plan.controlled_motions:
         area = motion.area_at(plan.walls) or section(plan.scene.domain, motion.direction)
-        if motion.force > 0.0 and count > 1:
+        if motion.force > 0.0 and count > 0:
             pressure = motion.force / area
             cause = (
                 f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
             )
-            yield BedPressure("wall", cause, pressure, 3.0 * count)
+            yield BedPressure("wall", cause, pressure, 3.0 * count, motion.force if count == 1 else None)
     targets = [
         (axis.pressure or 0.0, ".".join(map(str, path)))
         for path, deformation in plan.scene.deformations()

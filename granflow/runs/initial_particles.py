@@ -201,7 +201,8 @@ def _refuse_other_widths(scene: Scene, before: Scene, checkpoint: Checkpoint, lo
     corners = (", ".join(f"{x:.8g}" for x in corner) for corner in (low, high))
     raise SceneError(
         f"{location} its box has deformed, and its particles need the domain {{min: [{next(corners)}], max: "
-        f"[{next(corners)}]}}; give these numbers."
+        f"[{next(corners)}]}}; give these numbers, and insert: {{kind: python}} to groups whose region is "
+        "then not in the domain: their particles are those of the earlier run."
     )
 
 

@@ -34,14 +34,17 @@ def servo_box():
     )  # fmt: skip
 
 
+STIFFNESS = 4 / 3 * SOFT["young_modulus"] / (2 * (1 - SOFT["poisson_ratio"] ** 2)) * np.sqrt(DIAMETER / 2)
+"""Of a contact with a wall: F = 4/3 E* sqrt(R) overlap^1.5, E* = E / (2 (1 - nu^2)) (Hertz)."""
+
+
 def test_force_is_the_pressure_on_the_present_section(taichi_f64):
-    """F_x = P_x L_y L_z with the present distances L = D - 2 overlap, of Hertz contacts with a wall:
-    F = 4/3 E* sqrt(R) overlap^1.5, E* = E / (2 (1 - nu^2)). The section of the start is larger by 44 %."""
-    stiffness = 4 / 3 * SOFT["young_modulus"] / (2 * (1 - SOFT["poisson_ratio"] ** 2)) * np.sqrt(DIAMETER / 2)
+    """F_x = P_x L_y L_z with the present distances L = D - 2 overlap. The section of the start is larger by
+    44 %."""
     overlap = np.zeros(3)
     for _ in range(50):
         length = DIAMETER - 2.0 * overlap
-        overlap = (PRESSURES * length.prod() / length / stiffness) ** (2 / 3)
+        overlap = (PRESSURES * length.prod() / length / STIFFNESS) ** (2 / 3)
     with Simulation(servo_box()) as simulation:
         assert [each.force for each in simulation.plan.controlled_motions] == pytest.approx(
             PRESSURES * (DIAMETER + GAP) ** 2
@@ -73,6 +76,25 @@ def test_walls_that_enclose_no_section_are_refused(between, message):
     scene["walls"]["high_x"]["motion"][0]["between"] = between
     with pytest.raises(SceneError, match=rf"walls\.high_x\.motion\.between {message}"):
         plan_for(Scene.from_dict(scene))
+
+
+def test_forecast_of_a_single_particle_has_the_whole_force_of_each_wall():
+    found = [each.overlap for each in plan_for(servo_box()).forecasts if each.name == "overlap under a wall"]
+    expected = (PRESSURES * (DIAMETER + GAP) ** 2 / STIFFNESS) ** (2 / 3) / (DIAMETER / 2)
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_direction_into_the_plane_is_reported():
+    given = servo_box().to_dict()
+    given["walls"]["high_x"]["motion"][0]["direction"] = [1.0, 0.0, 0.0]
+    warnings = [each.warning for each in plan_for(Scene.from_dict(given)).forecasts if each.warning]
+    (sentence,) = [each for each in warnings if "away from the particles" in each]
+    assert sentence.startswith("walls.high_x.motion") and sentence.endswith("[-1, 0, 0].")
+    given["contact"]["cohesion"] = "sjkr"
+    for pair in given["pairs"].values():
+        pair["cohesion_energy_density"] = 1e3
+    warnings = [each.warning for each in plan_for(Scene.from_dict(given)).forecasts if each.warning]
+    assert not [each for each in warnings if "away from the particles" in each]
 
 
 def test_a_program_cannot_remove_or_move_walls_around_a_section():
