@@ -87,9 +87,9 @@ DUE_TOLERANCE = 1e-6
 MAX_RETRIED_BATCHES = 4
 """Largest number of queued particles that are tried again in one batch, in batch sizes: limits the cost of a
 full region."""
-SAVED_FIELDS = ("queued", "due_count", "batch_count", "next_time")
-"""Attributes of an inserter in checkpoints: particle numbers (q,), counts, and the time of the next batch
-[s]."""
+SAVED_FIELDS = ("queued", "due_count", "batch_count", "start", "is_over", "next_time")
+"""Attributes of an inserter in checkpoints: particle numbers (q,), counts, the start [s], whether its stages
+are over, and the time of the next batch [s]."""
 ATTEMPTS = (8, 56)
 """Positions tried for a particle: in the first round, and in the second round after a failure of the
 first."""
@@ -106,8 +106,10 @@ class Inserter:
     the next batch. Walls are not considered. The positions depend on the seed of the scene, the number of the
     batch, and the existing particles.
 
-    `radius`, `mass`, `due_at` (count,): radii [m], masses [kg] and due times [s] in the order of insertion,
-    read-only; of clumps the radius of the sphere around each.
+    With `stages`, start is that of the first of them (`begin_stage`), and infinite before.
+
+    `radius`, `mass`, `delays` (count,): radii [m], masses [kg] and due times after the start [s] in the order
+    of insertion, read-only; of clumps the radius of the sphere around each.
     `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval`
     [s]: mean time between particles. `next_time` [s]: time of the next batch; infinite after the last.
 
@@ -122,12 +124,13 @@ class Inserter:
         insertion = spec.insert
         if not isinstance(insertion, TimedInsertion):
             raise ValueError(f"{group.name} has no particles that enter during the run.")
-        self.start = insertion.start
+        self.start = insertion.start if insertion.stages is None else math.inf
+        self.is_over = False
         self.radius = spec.sizes.ordered(spec.count, group.random()) / 2
         self.mass = group.spec.shape.volume(self.radius) * group.density
-        self.due_at = self.start + insertion.delays(self.mass)
+        self.delays = insertion.delays(self.mass)
         self.interval = insertion.interval(float(self.mass.mean()))
-        for array in (self.radius, self.mass, self.due_at):
+        for array in (self.radius, self.mass, self.delays):
             array.setflags(write=False)
         gathered = math.ceil(spec.count / MAX_BATCHES)
         self.region = insertion.region_for(
@@ -149,8 +152,31 @@ class Inserter:
         particles now, because the run lasts longer."""
         for name in SAVED_FIELDS:
             setattr(self, name, saved[name])
-        if math.isinf(self.next_time):
+        if math.isinf(self.next_time) and not self.is_over:
             self.next_time = self.time_after(self.next_time)
+
+    def begin_stage(self, name: str, time: float) -> None:
+        """Begin the flow at `time` [s] if the stage is the first of its stages, end it if they are over."""
+        stages = getattr(self.group.spec.insert, "stages", None)
+        if stages is None:
+            return
+        first, last = self.group.scene.stage_range(stages)
+        index = self.group.scene.stage_names.index(name)
+        if index == first:
+            self.start = self.next_time = time
+        if index > last:
+            self.is_over = True
+            self.next_time = math.inf
+
+    @property
+    def is_pending(self) -> bool:
+        """Whether particles are missing that can enter without a further stage."""
+        return self.remaining > 0 and not self.is_over and not math.isinf(self.start)
+
+    @property
+    def due_at(self) -> np.ndarray:
+        """Due times (count,) [s] in the order of insertion."""
+        return self.start + self.delays
 
     @property
     def remaining(self) -> int:

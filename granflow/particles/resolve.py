@@ -162,7 +162,7 @@ def _with_count(group: SceneGroup) -> Group:
 
 def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
     """Number of particles that follows from each of the keys count, mass and insert.end, if given; without
-    them, from the longest duration of the run as the end of the flow.
+    them, from the longest duration of the run, or of the stages of the flow, as its end.
 
     end of a flow: rate * (end - start), or the number with the mass mass_flow * (end - start)
     """
@@ -176,6 +176,9 @@ def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
         key = f"insert.{insertion.flow_key}" if insertion.end is None else "insert.end"
         end = group.scene.longest_duration if insertion.end is None else insertion.end
         duration = max(end - insertion.start, 0.0)
+        if insertion.stages is not None:
+            first, last = group.scene.stage_range(insertion.stages)
+            duration = sum(stage.longest for stage in group.scene.schedule[first : last + 1])
         if insertion.rate is not None:
             yield key, max(int(np.ceil(min(insertion.rate * duration - ROUNDING_SHARE, 1e18))), 1)
         elif insertion.mass_flow is not None:

@@ -26,6 +26,7 @@ from granflow.plan.particle_equations import longest_step
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import rayleigh_time
 from granflow.scene.blocks.contact import LawSettings
+from granflow.scene.blocks.particles import Group
 from granflow.scene.blocks.run import Stage
 from granflow.schema.quantities import unit_of
 
@@ -150,11 +151,18 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
         )
 
 
+def _end_of_flow(group: Group) -> str:
+    """What ends a flow without a number of particles; empty for other groups."""
+    if not group.flows_to_end:
+        return ""
+    stages = getattr(group.insert, "stages", None)
+    return " until the run ends" if stages is None else f" in {' and '.join(stages)} at their longest"
+
+
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the numbers and sizes of the particles, the materials, and the skin."""
     groups = ", ".join(
-        f"{group.name} {count(group.spec.count)}{group.spec.shape.title}"
-        f"{' until the run ends' if group.spec.flows_to_end else ''}"
+        f"{group.name} {count(group.spec.count)}{group.spec.shape.title}{_end_of_flow(group.spec)}"
         for group in plan.groups
     )
     yield ExplainRow("particles", count(plan.particle_capacity), groups)

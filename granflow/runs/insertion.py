@@ -30,8 +30,13 @@ class ParticleInsertion:
 
     @property
     def is_done(self) -> bool:
-        """Whether all particles are inserted."""
-        return self.remaining == 0
+        """Whether all particles are inserted that can enter without a further stage."""
+        return not any(inserter.is_pending for inserter in self._inserters)
+
+    def begin_stage(self, name: str, time: float) -> None:
+        """Begin and end the flows that are limited to stages; the stage begins at `time` [s]."""
+        for inserter in self._inserters:
+            inserter.begin_stage(name, time)
 
     @property
     def remaining(self) -> int:
@@ -115,5 +120,5 @@ class ParticleInsertion:
         """Update the number of queued particles in the accounting."""
         if self._inserters:
             engine.accounting.queued_count = int(
-                np.sum([len(inserter.queued) for inserter in self._inserters])
+                np.sum([len(inserter.queued) for inserter in self._inserters if not inserter.is_over])
             )

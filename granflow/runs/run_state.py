@@ -120,6 +120,7 @@ class RunState:
         engine.set_stage(stage.name)
         engine.set_gravity(engine.plan.scene.gravity_course(progress.stage_times))
         progress.set_walls(engine)
+        self.insertion.begin_stage(stage.name, engine.time)
         self.insertion.insert_due(engine)
         engine.refresh()
         if stage.set_:

@@ -35,12 +35,10 @@ from granflow.geometry.periodic_box import AXES
 from granflow.scene.blocks.contact import Contact, LawSettings
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.gravity import bound_of
+from granflow.scene.blocks.insertions import TimedInsertion
 from granflow.scene.blocks.materials import RestitutionFit
 from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.motions import MotionSpec, TimedMotion
-from granflow.scene.blocks.particles import (
-    TimedInsertion,
-)
 from granflow.scene.blocks.primitives import Box
 from granflow.scene.blocks.run import Damping
 from granflow.scene.blocks.scene import SceneInput
@@ -661,7 +659,7 @@ def deformation(parts: PartialScene) -> Iterator[Fault]:
 
 
 def stage_names(parts: PartialScene) -> Iterator[Fault]:
-    """Unique stage names, and references of walls, motions and damping to existing stages only.
+    """Unique stage names, and references of walls, motions, insertions and damping to existing stages only.
 
     A scene without stages has the single stage "run".
     """
@@ -670,7 +668,7 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
         if name in known[:index]:
             reason = f"stages.{known.index(name)} has the same name; give each stage a different name"
             yield Fault(("stages", index, "name"), reason)
-    named = [*_walls(parts.scene), *_motions(parts.scene), *_damping(parts.scene)]
+    named = [*_walls(parts.scene), *_motions(parts.scene), *_flows(parts.scene), *_damping(parts.scene)]
     for path, part in [*named, *parts.scene.gravity_motions()]:
         for index, name in enumerate(part.stages or ()):
             location = (*path, "stages", index)
@@ -794,6 +792,13 @@ def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
     """Each motion of a wall with its key path."""
     for path, wall in _walls(scene):
         yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))
+
+
+def _flows(scene: SceneInput) -> Iterator[tuple[KeyPath, TimedInsertion]]:
+    """The insertions during the run with their key paths."""
+    for name, group in scene.particles.items():
+        if isinstance(group.insert, TimedInsertion):
+            yield ("particles", name, "insert"), group.insert
 
 
 def _damping(scene: SceneInput) -> Iterator[tuple[KeyPath, Damping]]:

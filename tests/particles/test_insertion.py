@@ -250,3 +250,30 @@ def test_inlet_inserts_whole_particles_behind_its_face(face, normal, center):
     else:
         assert np.all(np.abs(across[:, :2]) + radius[:, None] <= np.array([0.025, 0.03]) + 1e-12)
     np.testing.assert_array_equal(batches[0].velocity[0], normal)
+
+
+def test_a_flow_is_limited_to_its_stages():
+    """From the actual start of the stage `fill`, 0.3 s, to that of `rest`; the number is 40 /s times 0.5 s."""
+    insertion = {"kind": "rain", "region": REGION, "rate": 40.0, "stages": ["fill"]}
+    text = scene_with({"rain": {"diameter": 0.004, "insert": insertion | {"stages": None}}}).to_yaml()
+    stages = "[{name: wait, duration: 1}, {name: fill, duration: 0.5}, {name: rest, duration: 2}]"
+    scene = scene_of(
+        text, "scene", ["particles.rain.insert.stages=[fill]", f"stages={stages}", "run={velocity_max: 5}"]
+    )
+    (rain,) = inserters(scene)
+    assert len(rain.radius) == 20
+    rain.begin_stage("wait", 0.0)
+    assert np.isinf(rain.next_time) and not rain.is_pending
+    rain.begin_stage("fill", 0.3)
+    assert rain.next_time == 0.3 and rain.is_pending
+    none = np.empty((0, 3)), np.empty(0)
+    assert len(rain.insert_due(0.4, *none).radius) == 5
+    (resumed,) = inserters(scene)
+    resumed.load_state_dict(rain.state_dict())
+    assert resumed.next_time == rain.next_time > 0.4
+    assert len(resumed.insert_due(0.5, *none).radius) == 4
+    resumed.begin_stage("rest", 0.5)
+    assert np.isinf(resumed.next_time) and not resumed.is_pending
+    (ended,) = inserters(scene)
+    ended.load_state_dict(resumed.state_dict())
+    assert np.isinf(ended.next_time) and ended.is_inserted.sum() == 9

@@ -49,7 +49,7 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
         "material": "glass", "velocity": [1.0, 0.0, 0.0],
         "diameter": {"distribution": "classes", "by": "mass", "classes": classes},
         "insert": {
-            "kind": "inlet", "mass_flow": 0.08, "start": 0.1 * duration, "end": 0.7 * duration,
+            "kind": "inlet", "mass_flow": 0.08, "stages": ["shake"],
             "face": {"disc": {"center": [0.001, 0.05, 0.052], "normal": [1, 0, 0], "radius": 0.006}},
         },
     }  # fmt: skip

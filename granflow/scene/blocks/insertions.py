@@ -17,7 +17,15 @@ from granflow.geometry.region import BoxSampler, CylinderSampler, FilledRegion, 
 from granflow.scene.blocks.primitives import Box, CylinderShape, Rectangular
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, redundant, whole
-from granflow.schema.model import FileName, ListOf, Model, choose_by_first_key, choose_by_key, optional
+from granflow.schema.model import (
+    FileName,
+    ListOf,
+    Model,
+    StageNames,
+    choose_by_first_key,
+    choose_by_key,
+    optional,
+)
 from granflow.schema.quantities import Number, Vector3
 
 # Regions and faces
@@ -420,7 +428,8 @@ class PythonInsertion(InsertionKind):
 class TimedInsertion(InsertionKind):
     """Insertion during the run at a constant number or mass per second.
 
-    It ends when the count or mass of the group is inserted, or at `end`, otherwise with the run. Sizes are in
+    It ends when the count or mass of the group is inserted, at `end` or with its `stages`, otherwise with the
+    run. Sizes are in
     a fixed order, so that each size class has its fraction at any time. A kind is required to have
     `region_for`; the inserter (`particles.insertion`) calls `interval` and `delays`.
 
@@ -438,14 +447,22 @@ class TimedInsertion(InsertionKind):
     end: q.PositiveTime | None = optional(
         "end of the insertion [s]", "when all particles are inserted, or with the run", examples=["1 s"]
     )
+    stages: StageNames | None = Field(
+        None,
+        description="stages with the insertion, from the start of the first of them to the end of the last",
+        examples=[["fill"]],
+    )
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless exactly one of rate and mass_flow is given, and the end is after the start."""
+        """Yield a fault unless exactly one of rate and mass_flow is given, the end is after the start, and
+        either times or stages are given."""
         if self.rate is None and self.mass_flow is None:
             yield whole((), "has no insertion rate: give rate in 1/s, or mass_flow in kg/s")
         if self.rate is not None and self.mass_flow is not None:
             yield redundant("mass_flow", "rate")
-        if self.end is not None and self.end <= self.start:
+        if self.stages is not None and (self.start or self.end is not None):
+            yield redundant("stages", "start or end", keep="either the times or the stages")
+        elif self.end is not None and self.end <= self.start:
             yield Fault(("end",), f"the insertion must end after its start at {self.start:g} s")
 
     @property

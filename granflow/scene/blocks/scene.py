@@ -5,7 +5,7 @@ file are not known yet. Physical parameters have no hidden defaults: a scene mus
 parameters have defaults, all in `RunSettings` and `Numerics`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -253,6 +253,11 @@ class SceneInput(Model):
     def stage_names(self) -> list[str]:
         """Names of the stages; a scene without stages has the single stage "run"."""
         return [stage.name for stage in self.stages] or ["run"]
+
+    def stage_range(self, names: Iterable[str]) -> tuple[int, int]:
+        """Indices of the first and the last of the stages with these names."""
+        indices = [self.stage_names.index(name) for name in names]
+        return min(indices), max(indices)
 
     def flow_meter_parts(self, name: str) -> tuple[str, ...]:
         """Names of the materials or groups with separate counts in a flow meter; empty without `group_by`.
