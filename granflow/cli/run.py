@@ -544,11 +544,11 @@ def check(options: argparse.Namespace) -> int:
     """
     scene = load(options)
     from granflow.parallel.refusals import refuse_on_ranks
-    from granflow.particles.insertion import initial_particles, inserters
+    from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
     from granflow.plan.cost import fits, memory_warning, refuse_run_time, refuse_too_many
-    from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps
-    from granflow.runs.initial_particles import particles_from_run
+    from granflow.plan.overlaps import particle_warnings
+    from granflow.runs.initial_particles import checked_particles
 
     plan = plan_for(scene)
     if options.mpi:
@@ -563,9 +563,7 @@ def check(options: argparse.Namespace) -> int:
             say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
         return say_checked(options.scene, found, ", but the packing of the particles was not checked")
-    particles = initial_particles(scene, particles_from_run(scene))
-    refuse_initial_overlaps(scene, particles)
-    found += particle_warnings(plan, particles)
+    found += particle_warnings(plan, checked_particles(scene))
     inserters(scene)
     return say_checked(options.scene, found)
 

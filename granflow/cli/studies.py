@@ -671,7 +671,7 @@ def show_trials(study: "CalibrationFile", out: Path, threads: int) -> int:
     """Print the estimated times of the scenes of a calibration and of all trials, without a run."""
     from granflow.plan.explain import duration
     from granflow.studies.calibration.calibrate import estimate_trials
-    from granflow.studies.calibration.response import sufficient_trials
+    from granflow.studies.calibration.response import fewest_trials, sufficient_trials
 
     found = estimate_trials(study, out, threads)
     rows = [(name, *map(duration, seconds)) for name, seconds in found.scenes.items()]
@@ -684,9 +684,13 @@ def show_trials(study: "CalibrationFile", out: Path, threads: int) -> int:
         "compilation and output, with one thread of a usual processor; divide it by the number of "
         "simultaneous trials. Trials that are stopped early take less."
     )
-    enough = sufficient_trials(len(study.content.parameters))
-    if count < enough:
-        say(f"{count} trials are few to identify the parameters: set search.trials to {enough} or more.")
+    parameters = len(study.content.parameters)
+    enough = sufficient_trials(parameters)
+    trials = "1 trial is" if count == 1 else f"{count} trials are"
+    if count < fewest_trials(parameters):
+        say(f"{trials} too few to identify any parameter: set search.trials to {enough} or more.")
+    elif count < enough:
+        say(f"{trials} few to identify the parameters: set search.trials to {enough} or more.")
     return 0
 
 

@@ -41,14 +41,13 @@ class ProgressDisplay(ScheduledObserver):
         self._display.show(snapshot, self._stage_plan.end, self._rates)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the time of the last update, the stage, and the latest end of the run; updates affect the
-        steps."""
-        return super().state_dict() | {"stage": self._stage_plan.stage, "end": self._stage_plan.end}
+        """Return the time of the last update, the stage and its start [s]; updates affect the steps."""
+        return super().state_dict() | {"stage": self._stage_plan.stage, "began": self._stage_plan.began}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Continue after the saved time; changed stages may extend the end."""
+        """Continue after the saved time; changed durations of stages change the end."""
         super().load_state_dict(saved)
-        self._stage_plan.resume_in(saved["stage"], saved["end"])
+        self._stage_plan.enter(saved["stage"], saved["began"])
 
     def finish(self) -> None:
         """Close the display and restore the terminal."""
@@ -58,27 +57,24 @@ class ProgressDisplay(ScheduledObserver):
 class StagePlan:
     """Latest end of a run [s], from the actual start times of its stages.
 
-    `stages`: (name, maximum duration [s]) in order; at least one. `end` [s] is the sum of all durations at
-    first.
+    `stages`: (name, maximum duration [s]) in order; at least one. `began` [s]: start of the present stage.
     """
 
     def __init__(self, stages: Sequence[tuple[str, float]]) -> None:
         self._stages = list(stages)
         self.stage = self._stages[0][0]
-        self.end = sum(duration for _, duration in self._stages)
+        self.began = 0.0
+
+    @property
+    def end(self) -> float:
+        """Latest end [s]: the start of the present stage, and the durations from it on."""
+        names = [name for name, _ in self._stages]
+        return self.began + sum(duration for _, duration in self._stages[names.index(self.stage) :])
 
     def enter(self, stage: str, time: float) -> None:
-        """Record the stage at `time` [s]; a new stage updates the end."""
-        names = [name for name, _ in self._stages]
-        if stage == self.stage or stage not in names:
-            return
-        self.stage = stage
-        self.end = time + sum(duration for _, duration in self._stages[names.index(stage) :])
-
-    def resume_in(self, stage: str, end: float) -> None:
-        """Restore the stage and the latest end [s] of the run."""
-        self.stage = stage
-        self.end = max(end, self.end)
+        """Record the stage at `time` [s]; the first record of a stage is its start."""
+        if stage != self.stage and stage in [name for name, _ in self._stages]:
+            self.stage, self.began = stage, time
 
 
 RATE_SAMPLES = 25

@@ -651,7 +651,13 @@ def turned_out_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
             if motions[index].travel(end) > 0.0 and not motions[index].rotates
         ]
         advice = "Check the point and the axis of the rotation, or enlarge the domain."
-        if carried:
+        ahead = poses_at(motions[: turns[0]], moments).offset[:, bounded] if turns[0] else np.zeros((1, 1))
+        if np.abs(ahead).max() >= 0.5 * outside.max():
+            advice = (
+                f"The motions before the rotation, motion {turns[0]}, carry it by up to "
+                f"{np.linalg.norm(ahead, axis=1).max():.3g} m: give them an end, or enlarge the domain."
+            )
+        elif carried:
             advice = (
                 f"Motion {carried[0]} turns with the rotation before it, motion {turns[0]}: put it before "
                 "the rotation if its direction is fixed in space."

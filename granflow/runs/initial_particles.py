@@ -14,7 +14,7 @@ from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
 from granflow.particles.group import ParticleData, SceneGroup, groups_of
 from granflow.particles.insertion import initial_particles
-from granflow.plan.overlaps import particle_warnings
+from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps
 from granflow.plan.plan import Plan
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 
@@ -176,6 +176,17 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     if problems:
         raise SceneError(problems)
     return found
+
+
+def checked_particles(scene: Scene) -> ParticleData:
+    """The particles of a scene at its start.
+
+    Raises SceneError if they overlap by more than `numerics.max_overlap` or do not fit in their regions, and
+    as `particles_from_run`.
+    """
+    particles = initial_particles(scene, particles_from_run(scene))
+    refuse_initial_overlaps(scene, particles)
+    return particles
 
 
 WIDTH_TOLERANCE = 0.01

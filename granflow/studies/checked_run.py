@@ -30,6 +30,7 @@ from granflow.fields import (
 )
 from granflow.load import identity_of
 from granflow.plan.cost import typical_run_time
+from granflow.runs.initial_particles import checked_particles
 from granflow.schema.messages import nearest
 from granflow.studies.run_process import RunInputs, RunRequest, source_digest
 from granflow.units import number_of
@@ -77,8 +78,8 @@ def checked_run(
 
     `read`: numbers of the result that are needed, and the position of each in its file; `seed_offset`: added
     to the seed of the scene; `problems_in`: other problems of the scene for the study. Raises SceneError if
-    the scene with these values is invalid, FileError if it has no such number, other problems, or needs
-    particles of a program.
+    the scene with these values is invalid or its given positions overlap, FileError if it has no such number,
+    other problems, or needs particles of a program.
     """
     overrides = overrides_of(settings)
     scene = load_scene(path, overrides)
@@ -95,6 +96,8 @@ def checked_run(
     if problems:
         raise FileError(problems)
     plan = plan_for(scene)
+    if any(group.insert.has_rows for group in scene.particles.values()):
+        checked_particles(scene)
     inputs = RunInputs.of(scene)
     directory = (common.runs / run_identity(scene, common.arch)).resolve()
     request = RunRequest(

@@ -20,6 +20,19 @@ def test_stage_that_ends_early_reduces_the_planned_end():
     assert plan.end == 4.5
 
 
+def test_resumed_run_has_the_end_of_its_longer_stage():
+    """The first stages have ended early, at 1.5 s; discharge now lasts 3.5 s."""
+    display = ProgressDisplay(STAGES, io.StringIO())
+    for time, stage in ((0.5, "fill"), (1.0, "settle"), (1.5, "discharge"), (2.0, "discharge")):
+        display.observe(snapshot_of(time=time, step=0, stage=stage))
+    output = io.StringIO()
+    resumed = ProgressDisplay([*STAGES[:2], ("discharge", 3.5)], output)
+    resumed.load_state_dict(display.state_dict())
+    resumed.observe(snapshot_of(time=2.5, step=0, stage="discharge"))
+    resumed.finish()
+    assert "of 5 s" in output.getvalue()
+
+
 def test_rates_are_averaged_between_samples():
     rates = StepRates()
     assert rates.particle_steps_per_second() == 0.0

@@ -277,6 +277,11 @@ def test_translation_that_turns_with_the_rotation_before_it_is_reported_with_tim
     assert "Motion 1 turns with the rotation before it, motion 0" in turned[0]
     reached, at = turned[0].split("by up to ")[1].split(" s. ")[0].split(" m at ")
     assert (float(reached), float(at)) == pytest.approx((0.019, 0.1), rel=0.02)
+    far = f"{shift.replace('24', '90')}, {turn}"  # by 9 cm
+    found = warnings_of(scene_of(tmp_path, f"walls.plate={plate % far}", "run.duration=0.1"))
+    (sentence,) = [each for each in found if "takes parts of the wall out" in each]
+    carried = float(sentence.split("motion 1, carry it by up to ")[1].split(" m:")[0])
+    assert carried == pytest.approx(0.09, rel=0.02) and "Check the point" not in sentence
 
 
 def test_region_that_a_wall_cuts_is_reported_with_the_share_of_positions(tmp_path):

@@ -61,6 +61,28 @@ def test_dry_run_checks_the_ends_of_the_parameters_and_writes_nothing(tmp_path, 
     study = read_calibration(written(tmp_path, CALIBRATION.replace("to: 0.9", "to: 1.2")))
     with pytest.raises(FileError, match=r"calibration\.yaml:4:.* is 1\.2"):
         estimate_trials(study, tmp_path / "out")
+    study = read_calibration(written(tmp_path, CALIBRATION.replace("to: 0.9", "to: 1.9")))
+    with pytest.raises(
+        FileError, match=r"calibration\.yaml:4:.* is 1\.9,"
+    ):  # the middle, 1.1, is invalid too
+        estimate_trials(study, tmp_path / "out")
+
+
+def test_dry_run_names_the_value_at_which_particles_overlap(tmp_path):
+    """Spheres of 60 mm at a distance of 20.2 mm overlap by more than the radius."""
+    diameter = "  d: {keys: particles.spheres.diameter, from: 1 mm, to: 60 mm}\ntargets:"
+    study = read_calibration(written(tmp_path, CALIBRATION.replace("targets:", diameter)))
+    with pytest.raises(FileError, match=r"at the start.* This is with d at 60 mm\.") as caught:
+        estimate_trials(study, tmp_path / "out")
+    assert all("d at 1 mm" not in each for each in caught.value.problems)
+
+
+def test_dry_run_with_too_few_trials_says_that_no_parameter_is_identified(tmp_path, capsys):
+    """A linear fit of two parameters needs 1.5 * 3 + 1 = 5.5, so 6 trials."""
+    for count, words in ((1, "1 trial is too few"), (5, "5 trials are too few"), (6, "6 trials are few")):
+        path = written(tmp_path, CALIBRATION.replace("trials: 12", f"trials: {count}"))
+        assert main(["calibrate", str(path), "--out", str(tmp_path / "out"), "--dry-run"]) == 0
+        assert words in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [

@@ -6,7 +6,7 @@ other processes, also on other machines, adds workers.
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
@@ -196,29 +196,55 @@ def estimate_trials(file: CalibrationFile, out: Path, threads: int = 1) -> Trial
     """Check the scenes of a calibration with the values that `TrialEstimate` names, and estimate their time,
     without a run and without a file.
 
-    Raises GranflowError for a scene that is invalid with one of the values.
+    Raises GranflowError for a scene that is invalid with one of the values, and if a package is missing that
+    the method needs.
     """
+    require_optuna(file.content.search.method)
     parameters = file.content.parameters
     middle = {name: from_unit(each, 0.5) for name, each in parameters.items()}
-    points = [middle]
-    for name, each in parameters.items():
-        points += [middle | {name: from_unit(each, share)} for share in (0.0, 1.0)]
+    points = {"": middle} | {
+        f"{name} at {each.text(value)}": middle | {name: value}
+        for name, each in parameters.items()
+        for value in (float(each.start), float(each.stop))
+    }
     common = RunSettings(out / "runs", threads, "cpu", out / ".stop")
     found = {}
+    refused: dict[str, list[str]] = {}
     for scene, path in file.scenes.items():
-        try:
-            seconds = [
-                checked_scene(file.content, scene, path, file.targets, values, common).seconds
-                for values in points
-            ]
-        except SceneError as error:
-            raise relocated(error, file.positions) from None
-        found[scene] = seconds[0], min(seconds), max(seconds)
+        seconds = []
+        for point, values in points.items():
+            try:
+                run = checked_scene(file.content, scene, path, file.targets, values, common)
+                seconds.append(run.seconds)
+            except SceneError as error:
+                problems = relocated(error, file.positions).problems
+                refused.setdefault(point, []).extend(problems)
+        if seconds:
+            found[scene] = seconds[0], min(seconds), max(seconds)
+    if refused:
+        raise FileError(_problems_at_ends(refused, file.positions))
     ended = 0
     if (out / JOURNAL).exists():
         trials = Search(file.content, out).study.get_trials(deepcopy=False)
         ended = sum(trial.state.is_finished() for trial in trials)
     return TrialEstimate(found, ended)
+
+
+def _problems_at_ends(refused: Mapping[str, Sequence[str]], positions: Mapping[str, str]) -> list[str]:
+    """The problems with parameters at their ends, by parameter and value; those with the middle values (""),
+    which the file does not contain, only if there are no others.
+
+    A problem in another file than that of the calibration names parameter and value.
+    """
+    middle = refused.get("", ())
+    located = tuple(f"{position}: " for position in positions.values())
+    found = [
+        problem if problem.startswith(located) else f"{problem} This is with {point}."
+        for point, problems in refused.items()
+        for problem in problems
+        if problem not in middle
+    ]
+    return list(dict.fromkeys(found or middle))
 
 
 POLL = 0.5
