@@ -96,7 +96,7 @@ def checked_run(
     if problems:
         raise FileError(problems)
     plan = plan_for(scene)
-    if any(group.insert.has_rows for group in scene.particles.values()):
+    if scene.start_from is None and any(group.insert.has_rows for group in scene.particles.values()):
         checked_particles(scene)
     inputs = RunInputs.of(scene)
     directory = (common.runs / run_identity(scene, common.arch)).resolve()
