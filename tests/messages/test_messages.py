@@ -135,6 +135,10 @@ OVERRIDES = [
      "stages.3={..}."),
     ("stages.3={name: fill, duration: 1 s}",
      "stages.3.name is fill, but stages.0 has the same name; give each stage a different name."),
+    ("expect=[{quantity: kinetic_energy, below: 3 mm}]",
+     "expect.0.below is 3 mm, but mm is a unit of length and an energy is expected, such as 1 nJ."),
+    ("stages.1.until={quantity: particle_count, above: 3 mm}",
+     "stages.1.until.above is 3 mm, but a number without a unit is expected, such as 0.5."),
     ("stages.first.duration=3", "stages is a list of items 0 to 2, so the index first is invalid."),
     ("contact.normal.restitution_at=peak",
      "contact.normal.restitution_at is peak, but it must be one of impact, max_overlap, constant. "

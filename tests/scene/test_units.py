@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+import granflow as gf
 from granflow.units import DIMENSIONS, UnitError, column_factor, factor_of, in_si, in_unit, to_si
 
 GOOD = [
@@ -50,3 +51,14 @@ def test_degrees_celsius_are_units_of_values_but_not_of_factors():
 def test_example_of_every_dimension_is_valid():
     for name, dimension in DIMENSIONS.items():
         assert math.isfinite(to_si(dimension.example, name))
+
+
+def test_the_unit_of_a_bound_is_one_of_its_quantity():
+    """g is gram for a mass and the acceleration of gravity without a known quantity."""
+    for key in ("above", "below"):
+        condition = gf.StageCondition.model_validate({"quantity": "deleted_mass", key: "50 g"})
+        assert getattr(condition, key) == 0.05
+    between = gf.Expectation.model_validate({"quantity": "flow_mass.outlet", "between": ["5 g", "0.05 kg"]})
+    assert between.between == (0.005, 0.05)
+    with pytest.raises(ValueError, match="g is ambiguous"):
+        gf.StageCondition.model_validate({"quantity": "own.number", "above": "50 g"})

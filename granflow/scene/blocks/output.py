@@ -5,10 +5,12 @@ same order. `blocks.metrics` has the kinds of metrics. `unit_of` gives the unit 
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import Field
+from pydantic import Field, GetCoreSchemaHandler, ValidationInfo
 from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from granflow.fields import (
     FIELD_QUANTITIES,
@@ -37,6 +39,7 @@ from granflow.schema.model import (
     pair_list,
 )
 from granflow.schema.quantities import Number
+from granflow.units import DIMENSIONS
 
 # Keys `collision_energies` and `flow_meters`
 
@@ -268,6 +271,54 @@ def use_metrics() -> None:
     Output.__pydantic_fields__["metrics"] = FieldInfo.from_annotated_attribute(annotation, given)
 
 
+# Values of the quantities of a run
+
+
+def unit_of(name: str) -> str:
+    """The unit of a number of a run; "" if it is dimensionless or unknown.
+
+    name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and
+           `timings.forces`
+    """
+    unit = _unit_of(name)
+    return "" if unit in (None, "1") else str(unit)
+
+
+def _unit_of(name: str) -> str | None:
+    """The unit of a number of a run, "1" if it is dimensionless; None if it is unknown."""
+    base, _, part = name.partition(".")
+    if base == "timings" and part:
+        return "s"
+    if part:
+        known = {**PART_QUANTITIES, **STAGE_QUANTITIES, **METRIC_QUANTITIES, **WALL_FLOW_QUANTITIES}
+    else:
+        known = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
+    quantity = known.get(base)
+    return None if quantity is None else quantity.unit
+
+
+class BoundOfQuantity(Number):
+    """Reads a number with a unit of the key `quantity` before it; of any dimension if that is unknown."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validation by `read_for`; serialization without change."""
+        return core_schema.with_info_plain_validator_function(self.read_for)
+
+    def read_for(self, value: Any, info: ValidationInfo) -> float | int | str:
+        """Convert a value from the file to SI. Raises PydanticCustomError as `Number.read`."""
+        unit = _unit_of(str((info.data or {}).get("quantity", "")))
+        fitting = [name for name, each in DIMENSIONS.items() if unit and each.si_unit == unit]
+        if unit == "1":
+            fitting = ["number"]
+        for name in fitting[:-1]:
+            with suppress(PydanticCustomError):
+                return Number(name).read(value)
+        return Number(fitting[-1] if fitting else "any").read(value)
+
+
+QuantityBound = Annotated[float, BoundOfQuantity("any")]
+
+
 # Block `expect`
 
 
@@ -284,12 +335,12 @@ class Expectation(Model):
     quantity: Text = Field(
         description="quantity to compare, such as mass_flow.outlet", examples=["mass_flow.outlet"]
     )
-    between: Annotated[tuple[q.AnyQuantity, q.AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
+    between: Annotated[tuple[QuantityBound, QuantityBound], pair_list("[smallest, largest]")] | None = Field(
         None, description="smallest and largest value"
     )
-    below: q.AnyQuantity | None = Field(None, description="upper limit of the quantity")
-    above: q.AnyQuantity | None = Field(None, description="lower limit of the quantity")
-    equals: q.AnyQuantity | None = Field(None, description="expected value, within the tolerance")
+    below: QuantityBound | None = Field(None, description="upper limit of the quantity")
+    above: QuantityBound | None = Field(None, description="lower limit of the quantity")
+    equals: QuantityBound | None = Field(None, description="expected value, within the tolerance")
     tolerance: q.NotNegative | None = Field(None, description="with equals: largest relative difference")
     any_scale: Flag = Field(
         False, description="true: evaluate at every scale of the scene; false: only at scale 1"
@@ -308,20 +359,3 @@ class Expectation(Model):
             yield Fault(("tolerance",), "it requires equals; remove tolerance")
         if self.between is not None and self.between[0] > self.between[1]:
             yield Fault(("between",), "the first value must be the smaller one")
-
-
-def unit_of(name: str) -> str:
-    """The unit of a number of a run; "" if it is dimensionless or unknown.
-
-    name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and
-           `timings.forces`
-    """
-    base, _, part = name.partition(".")
-    if base == "timings" and part:
-        return "s"
-    if part:
-        known = {**PART_QUANTITIES, **STAGE_QUANTITIES, **METRIC_QUANTITIES, **WALL_FLOW_QUANTITIES}
-    else:
-        known = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
-    quantity = known.get(base)
-    return "" if quantity is None or quantity.unit == "1" else quantity.unit

@@ -11,6 +11,7 @@ from pydantic import Field
 from granflow.scene.blocks.deformation import Deformation
 from granflow.scene.blocks.deletions import StageDeletion
 from granflow.scene.blocks.gravity import Gravity
+from granflow.scene.blocks.output import QuantityBound
 from granflow.scene.blocks.settings import StageSetting
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
@@ -34,10 +35,10 @@ class StageCondition(Model):
         description="column of timeseries.csv, such as wall_force_z.lid, deleted_mass or mass_flow.outlet",
         examples=["wall_pressure.lid"],
     )
-    above: q.AnyQuantity | None = Field(
+    above: QuantityBound | None = Field(
         None, description="the stage ends if the quantity is above this value", examples=["100 kPa"]
     )
-    below: q.AnyQuantity | None = Field(
+    below: QuantityBound | None = Field(
         None, description="the stage ends if the quantity is below this value", examples=["5 kPa"]
     )
     hold: q.Time = Field(0.0, description="time during which all rows must satisfy the condition [s]")
