@@ -54,8 +54,8 @@ thermo_modify norm no flush yes
 thermo 100
 """
 """Output of the codes in place of their own, after the box exists."""
-SEEDS = (86028121, 86028157)
-"""Second and third seed of insertions; LIGGGHTS takes prime numbers only."""
+SEEDS = (86028121, 86028157, 15485863, 15485867, 32452843, 49979687, 67867967)
+"""Seeds of insertions after that of the script; LIGGGHTS takes prime numbers only."""
 
 
 @dataclass
