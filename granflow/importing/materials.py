@@ -93,6 +93,10 @@ RANGES = {
     "coefficientRestitution": (0.0, 1.0),
     "coefficientFriction": (0.0, inf),
     "coefficientRollingFriction": (0.0, inf),
+    "surfaceTension": (0.0, inf),
+    "contactAngle": (0.0, 180.0),
+    "surfaceLiquidContentInitial": (0.0, inf),
+    "fluidViscosity": (0.0, inf),
 }
 """Least and largest number of a property, in SI units."""
 
@@ -381,7 +385,7 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
     elif normal in ("hertz/material", "dmt", "jkr"):
         numbers["E"] = words.positive("E", "pressure")
         numbers["eta"] = words.plain("eta_n0")
-        numbers["nu"] = words.number("nu")
+        numbers["nu"] = _poisson_ratio(words)
         if normal != "hertz/material":
             cohesion = normal
             numbers["gamma"] = words.number("gamma", "surface_energy")
@@ -457,6 +461,16 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         numbers=numbers,
         options=options,
     )
+
+
+def _poisson_ratio(words: Words) -> float:
+    """The next word as a Poisson ratio. Raises DeckError."""
+    found = words.number("nu")
+    if not -1.0 < found <= 0.5:
+        raise DeckError(
+            words.command, f"nu is {found:g}; give a Poisson ratio above -1 and at most 0.5, such as 0.3."
+        )
+    return found
 
 
 def pair_style(deck: Deck, command: Command, entry: Entry) -> None:

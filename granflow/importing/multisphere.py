@@ -32,7 +32,7 @@ def template_multisphere(deck: Deck, fix: Fix) -> None:
             if words.word("constant") != "constant":
                 fix.entry.impossible("densities that differ", "density constant")
                 words.number("the density", "density")
-            density = words.number("the density", "density")
+            density = words.positive("the density", "density")
         elif key == "nspheres":
             count = words.whole("the number of spheres")
         elif key in ("ntry", "type"):

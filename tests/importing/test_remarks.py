@@ -271,6 +271,19 @@ def test_words_of_what_is_not_needed_are_permitted(tmp_path, lines):
         ),
         ("lammps", [("run 100", "run INF")], "the number of steps is INF"),
         ("lammps", [(HOOKE, GRANULAR.replace("1e7", "0"))], "E is 0; give a number above 0"),
+        *(
+            (
+                "lammps",
+                [(HOOKE, GRANULAR.replace("0.9 0.3", f"0.9 {nu}"))],
+                f"nu is {nu}; give a Poisson ratio",
+            )
+            for nu in ("1.3", "1", "-1")
+        ),
+        (
+            "liggghts",
+            [("fix i", "fix l all property/global surfaceLiquidContentInitial scalar -1\nfix i")],
+            "surfaceLiquidContentInitial has the number -1; give one from 0 to inf",
+        ),
         ("lammps", [("history 1e4", "history -1")], "Kn is -1; give a number above 0"),
         (
             "liggghts",
