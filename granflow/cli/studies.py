@@ -479,7 +479,9 @@ def sweep(options: argparse.Namespace) -> int:
     exist, 1 otherwise, and 130 or 143 after a stop signal; the same command then continues the sweep.
     """
     from granflow.studies.sweep import SweepStopped, read_sweep, run_sweep
+    from granflow.studies.sweep_table import warning_sentence
     from granflow.studies.yield_locus import remarks_of, shown_table
+    from granflow.visible_text import numbered
 
     study = read_sweep(options.file)
     out = options.out or Path("out") / study.name
@@ -499,18 +501,14 @@ def sweep(options: argparse.Namespace) -> int:
         )
     statuses = [row.outcome.status for row in table.rows]
     show_table(
-        f"{len(statuses)} points",
+        numbered(len(statuses), "point"),
         ("status", "points"),
         [(s, str(statuses.count(s))) for s in dict.fromkeys(statuses)],
     )
     for reason in dict.fromkeys(row.outcome.reason for row in table.rows if row.outcome.reason):
         say(reason)
-    warned = [row for row in table.rows if row.warnings]
-    if warned:
-        say(
-            f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: "
-            f"{warned[0].warnings}"
-        )
+    if warned := warning_sentence(table.rows):
+        say(warned)
     if table.loci:
         heads, rows, _ = shown_table(table.loci)
         show_table("yield loci", heads, rows)

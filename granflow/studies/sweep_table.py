@@ -31,6 +31,7 @@ from granflow.studies.run_process import (
 from granflow.studies.sweep_design import DesignPoint, SweepInput, ValueList, ValueRange
 from granflow.studies.yield_locus import Locus
 from granflow.units import common_unit, in_unit
+from granflow.visible_text import numbered
 
 # Rows and tables
 
@@ -94,6 +95,20 @@ class PointRow:
 
 SEPARATOR = " | "
 """Between the warnings of a run in a table."""
+
+
+def warning_sentence(rows: Sequence[PointRow]) -> str:
+    """How many points have warnings, and the first of them; empty without warnings."""
+    warned = [sentence for row in rows for sentence in dict.fromkeys(s for r in row.runs for s in r.warnings)]
+    count = sum(bool(row.warnings) for row in rows)
+    if not warned:
+        return ""
+    more = f" ({len(warned) - 1} more)" if len(warned) > 1 else ""
+    verb = "has" if count == 1 else "have"
+    points = f"{count} of {numbered(len(rows), 'point')}"
+    return f"{points} {verb} warnings, see sweep.csv; the first: {warned[0]}{more}"
+
+
 STANDARD_ERROR = "standard_error"
 """Prefix of the columns with the standard errors of the means over seeds."""
 

@@ -11,10 +11,10 @@ from studies.test_sweep import run
 
 from granflow.studies.calibration.results import result_of, write_calibration_page, write_result
 from granflow.studies.interactive_plots import short_names
-from granflow.studies.run_process import ABORTED, Outcome, final_outcome, write_outcome
-from granflow.studies.sweep_design import SweepInput, design_points
+from granflow.studies.run_process import ABORTED, DONE, Outcome, final_outcome, write_outcome
+from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points
 from granflow.studies.sweep_page import mean_over, sobol_indices, with_error, write_sweep_page
-from granflow.studies.sweep_table import table_of
+from granflow.studies.sweep_table import PointRow, RunRow, table_of, warning_sentence
 
 
 def ishigami(x, y, z):
@@ -145,3 +145,19 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     assert [each.data[0].type for each in drawn] == ["scatter", "scatter", "bar"]
     assert friction.not_identified in (tmp_path / "calibration.html").read_text()
     assert len((tmp_path / "trials.csv").read_text().splitlines()) == 13
+
+
+def test_the_first_of_the_warnings_of_a_sweep_is_shown():
+    def row(*warnings):
+        return PointRow(
+            DesignPoint({}, {}), [RunRow(None, Outcome(DONE), warnings=(each,)) for each in warnings]
+        )
+
+    assert not warning_sentence([row()])
+    assert (
+        warning_sentence([row("a", "b", "a", "c")])
+        == "1 of 1 point has warnings, see sweep.csv; the first: a (2 more)"
+    )
+    assert warning_sentence([row(), row("a"), row("b")]).endswith(
+        "2 of 3 points have warnings, see sweep.csv; the first: a (1 more)"
+    )
