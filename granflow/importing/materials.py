@@ -94,7 +94,8 @@ RANGES = {
     "coefficientFriction": (0.0, inf),
     "coefficientRollingFriction": (0.0, inf),
     "surfaceTension": (0.0, inf),
-    "contactAngle": (0.0, 180.0),
+    "contactAngle": (0.0, pi / 2.0),
+    "maxSeparationDistanceRatio": (1.0, inf),
     "surfaceLiquidContentInitial": (0.0, inf),
     "fluidViscosity": (0.0, inf),
 }
@@ -1144,14 +1145,22 @@ class Contacts:
             "walls have the effective radius R, in the script R/2: there the capillary force is 2 times as "
             "large, the viscous one 2 times in contact and up to 4 times at a distance"
         )
-        self._number("maxSeparationDistanceRatio", model, 1)
+        farthest = 2.0 * (self._number("maxSeparationDistanceRatio", model, 1) - 1.0)  # over R
+        angle = max(self._number("contactAngle", model, each.type) for each in self.sorts)
+        rupture = (1.0 + 0.5 * angle) * volume ** (1.0 / 3.0)  # over R
+        if farthest < rupture:
+            needed(self.deck, "maxSeparationDistanceRatio", model).entry.approximated(
+                f"bridges of equal spheres with the initial content rupture at a distance of {rupture:.3g} "
+                f"R, in the script at {farthest:.3g} R"
+            )
         largest = (
             2.0 * (content or 1e-6) * largest_bridge(radius for each in self.sorts for radius in each.radii)
         )
         keys: dict[str, Any] = {"law": "capillary_transfer", "max_bridge_volume": f"{largest:.6g} m3"}
-        model.entry.approximated(
-            f"a bridge has at most {largest:.3g} m3, twice the largest from films of the initial content"
-        )
+        origin = "twice the largest from films of the initial content"
+        if not content:
+            origin = "twice the largest from films with a content of 1e-6, because the initial one is 0"
+        model.entry.approximated(f"a bridge has at most {largest:.3g} m3, {origin}")
         if viscosity:
             if ratio > 1.0:
                 model.entry.approximated(f"the smallest distance is R* instead of {ratio:g} R*")

@@ -46,13 +46,7 @@ from granflow.scene.blocks.walls.box import FACES
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.schema.document import Document, Problem
 from granflow.schema.faults import Fault, KeyPath, missing, whole
-from granflow.schema.messages import (
-    nearest,
-    problem_at,
-    suggestion_or_list,
-    unknown,
-    unknown_names,
-)
+from granflow.schema.messages import nearest, problem_at, suggestion_or_list, unknown, unknown_names
 from granflow.schema.model import faults_of
 from granflow.visible_text import alternatives
 

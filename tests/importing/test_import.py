@@ -501,10 +501,22 @@ def test_liquid_bridges(tmp_path):
     assert (
         "1.13 times as large" in remark and "instead of 1.01 R*" in remark and "in the script R/2" in remark
     )
+    assert "rupture" not in remark
     for name, content in found.files.items():
         (tmp_path / name).write_bytes(content)
     (tmp_path / "scene.yaml").write_text(found.text)
     gf.load_scene(tmp_path / "scene.yaml")
+    near = BRIDGES.replace("scalar 1.1", "scalar 1.02").replace("scalar 0.002", "scalar 0")
+    found, _ = imported(tmp_path, liggghts(properties=near, model=model))
+    (remark,) = {sentence for _, sentence in remarks(found, "pair_style")}
+    assert "films with a content of 1e-6" in remark and "rupture" not in remark, "without liquid"
+    found, _ = imported(
+        tmp_path, liggghts(properties=BRIDGES.replace("scalar 1.1", "scalar 1.02"), model=model)
+    )
+    # (1 + angle / 2) V^(1/3) with the larger angle; (1.02 - 1) 2 R
+    distance = 1.25 * (4 / 3 * pi * 0.002 * (1 - sqrt(0.75))) ** (1 / 3)
+    sentence = f"rupture at a distance of {distance:.3g} R, in the script at 0.04 R"
+    assert any(kind == "approximated" and sentence in each for kind, each in remarks(found, "fix"))
 
 
 def test_box_of_which_one_side_grows(tmp_path):
