@@ -37,6 +37,8 @@ SHEARED = {
     "min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error", "periodic": ["x", "y", "z"],
     "lees_edwards": {"flow": "x", "gradient": "z", "rate": 1.0},
 }  # fmt: skip
+DEFORMED = {key: SHEARED[key] for key in ("min", "max", "on_exit", "periodic")}
+DEFORMED |= {"deformation": {"x": {"strain_rate": -1.0}}}
 EXCLUDED = {
     "`fixed: {to: WALL}` of the group": (
         {"fixed": {"to": "floor"}}, {}, "particles.rods.fixed is {to: floor}, but clumps cannot move with a wall"
@@ -49,6 +51,9 @@ EXCLUDED = {
     ),
     "`domain.lees_edwards`": (
         {}, {"walls": {}, "domain": SHEARED}, "domain.lees_edwards cannot be combined with the clumps"
+    ),
+    "`deformation` of the domain or a stage": (
+        {}, {"walls": {}, "domain": DEFORMED}, "domain.deformation cannot be combined with clumps"
     ),
     "`kind: stress` of `output.metrics`": (
         {}, {"output": {"interval": 1.0, "metrics": {"all": {"kind": "stress"}}}},
