@@ -56,6 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options = build_parser().parse_args(arguments)
             output.needed = options.verb not in (run, resume)
             return _run_verb(options)
+    except GranflowError as error:  # of options that act while they are read, such as --version
+        return _print_refusal(error)
     except OSError as error:
         return _print_file_error(error)
 

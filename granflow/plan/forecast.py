@@ -689,7 +689,7 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
     above that wall with a loose solid fraction phi over the area A of the servo; d: largest diameter, of
     particles on the surface of the bed. A bed beyond the edges of the servo is lower: the distance is a lower
     bound. Servos across gravity can touch the side of a bed, and other motions before a servo move its wall:
-    neither has a forecast.
+    neither has a forecast. The area of a servo between walls is that of its section at the start.
     """
     scene = plan.scene
     groups = scene.particles.values()
@@ -705,7 +705,7 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
 
     for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
         first = min((each for each in plan.controlled_motions if each.name == name), key=lambda m: span(m)[0])
-        area = plan.walls[first.wall].area
+        area = first.area_at(plan.walls)
         down = abs(float(np.dot(scene.usual_gravity, first.direction)))
         is_along = down >= (1.0 - LEVEL) * float(np.linalg.norm(scene.usual_gravity))
         if area is None or not is_along or not all(each.follows_force for each in scene.walls[name].motion):

@@ -215,3 +215,14 @@ def test_collide_prints_a_table(capsys):
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["restitution", "0.71", "0.7"] in rows
     assert ["time", "step", "1e-06", "s"] in rows
+
+
+def test_an_error_while_options_are_read_is_one_sentence(monkeypatch, capsys):
+    """As of an invalid GRANFLOW_KERNELS, which `--version` reads."""
+
+    def refuse(_):
+        raise GranflowError("GRANFLOW_KERNELS is foo.")
+
+    monkeypatch.setattr("granflow.io.log.version_of", refuse)
+    assert main(["--version"]) == 2
+    assert capsys.readouterr().err == "granflow: GRANFLOW_KERNELS is foo.\n"

@@ -84,6 +84,17 @@ def test_forecast_of_a_single_particle_has_the_whole_force_of_each_wall():
     assert found == pytest.approx(expected, rel=1e-6)
 
 
+def test_servo_on_a_section_that_does_not_reach_the_bed_is_reported():
+    """Along gravity, the plane at 12 mm is above a sphere of 10 mm; it would have to move by 50 mm more."""
+    given = servo_box().to_dict()
+    given["gravity"] = [0.0, 0.0, -9.81]
+    given["walls"]["high_z"]["point"] = [0.0, 0.0, 0.09]
+    given["domain"] |= {"max": [0.1, 0.1, 0.1]}
+    warnings = [each.warning for each in plan_for(Scene.from_dict(given)).forecasts if each.warning]
+    (sentence,) = [each for each in warnings if "the bed is about" in each]
+    assert sentence.startswith("walls.high_z.motion")
+
+
 def test_direction_into_the_plane_is_reported():
     given = servo_box().to_dict()
     given["walls"]["high_x"]["motion"][0]["direction"] = [1.0, 0.0, 0.0]
