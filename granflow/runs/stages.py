@@ -125,6 +125,8 @@ def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -
 def box_off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
     """A sentence on the axes of a deforming box whose pressure is off the target at the end of a stage."""
     targets = target_pressures(engine.state)
+    if not targets:
+        return  # samples of a box without targets may have no pressures
     pressures = box_pressures(engine.state)
     series = np.array([sample[-len(AXES) :] for sample in samples]).reshape(len(samples), len(AXES))
     off = [k for k, target in targets.items() if is_off_target(target, pressures[k], series[:, k])]
