@@ -1,9 +1,12 @@
 """Particles that stages delete: which ones, their energies, and walls that appear in their place."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from granflow import Scene, SceneError, StageDeletion
+from granflow.engine.selection import PresentParticles
 from granflow.simulation import Simulation
 from tests.scene_builders import build_scene, particle_group, plane
 
@@ -24,8 +27,15 @@ REGIONS = [
 def test_regions_have_signed_distances(region, distance):
     deletion = StageDeletion(region=region)
     assert deletion.region.distance(POINTS) == pytest.approx(np.array(distance), abs=1e-12)
+    spheres = SimpleNamespace(
+        group=np.zeros(5, int),
+        body=np.arange(5),
+        arrays={"radius": np.full(5, 0.3)},
+        _center=POINTS,
+        _position=POINTS,
+    )
     for part, reach in (("center", 0.0), ("any", 0.3), ("all", -0.3)):
-        found = deletion.model_copy(update={"part": part}).is_in_region(POINTS, POINTS, np.full(5, 0.3))
+        found = PresentParticles.chosen(spheres, None, deletion.region, part)
         expected = np.array(distance) <= reach
         is_clear = np.abs(np.array(distance) - reach) > 1e-9
         assert (found == expected)[is_clear].all()
