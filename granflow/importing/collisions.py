@@ -5,6 +5,9 @@ from math import exp, pi, sqrt
 
 from granflow.contact.theory import viscous_restitution
 
+OVERDAMPED = 1000.0
+"""Damping above which no restitution is left: it is about 1 / damping^2, and the steps become unstable."""
+
 
 def free_restitution(zeta: float, has_limit: bool) -> float:
     """Restitution of a spring with a dashpot of the damping ratio zeta; `has_limit`: without attraction.
@@ -25,6 +28,9 @@ def collision(power: float, damping: float, exponent: float, has_limit: bool) ->
     power p, damping g, exponent q; `has_limit`: the contact ends at zero force, otherwise at zero overlap.
     """
 
+    if damping > OVERDAMPED:
+        return 0.0
+
     def slope(x: float, v: float) -> float:
         x = max(x, 0.0)
         return -(x**power) - damping * x**exponent * v
@@ -38,7 +44,7 @@ def collision(power: float, damping: float, exponent: float, has_limit: bool) ->
         x += h * (v + h / 6.0 * (k1 + k2 + k3))
         v += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         if x <= 0.0 or (has_limit and v < 0.0 and slope(x, v) >= 0.0):
-            return max(0.0, -v)
+            return min(max(0.0, -v), 1.0)  # the error of the steps can exceed 1 without damping
     return 0.0
 
 

@@ -59,6 +59,13 @@ DIMENSIONS: dict[str, tuple[int, int, int]] = {
     "power": (1, 2, -3),
 }
 """Exponents of mass, length and time."""
+LARGEST_WHOLE = 2**31 - 1
+"""Largest number of particles, and largest seed, of the codes."""
+MOST_TYPES = 1000
+"""Number of atom types above which it is taken to be wrong; each pair of types has coefficients."""
+SMALLEST = 1e-30
+LARGEST = 1e30
+"""Magnitudes of numbers of a script; volumes and energies made from them are floating-point numbers, too."""
 
 
 # Parts of a deck
@@ -343,6 +350,10 @@ class Words:
             raise DeckError(self.command, reason) from None
         if not isfinite(found):
             raise DeckError(self.command, f"{what} is {word}; give a finite number.")
+        if found and not SMALLEST <= abs(found) <= LARGEST:
+            raise DeckError(
+                self.command, f"{what} is {word}; give 0 or a magnitude from {SMALLEST:g} to {LARGEST:g}."
+            )
         return found
 
     def positive(self, what: str, dimension: str) -> float:
@@ -350,6 +361,13 @@ class Words:
         found = self.number(what, dimension)
         if found <= 0.0:
             raise DeckError(self.command, f"{what} is {self.words[self.at - 1]}; give a number above 0.")
+        return found
+
+    def not_negative(self, what: str, dimension: str = "number") -> float:
+        """The next word as a number from 0 in SI units."""
+        found = self.number(what, dimension)
+        if found < 0.0:
+            raise DeckError(self.command, f"{what} is {self.words[self.at - 1]}; give 0 or a number above 0.")
         return found
 
     def number_or_infinite(self, what: str, dimension: str) -> float | None:
@@ -365,6 +383,14 @@ class Words:
         if found != int(found):
             raise DeckError(self.command, f"{what} is {found:g}; give a whole number.")
         return int(found)
+
+    def whole_between(self, what: str, least: int = 1, most: int = LARGEST_WHOLE) -> int:
+        """The next word as a whole number from `least` to `most`. Raises DeckError."""
+        found = self.whole(what)
+        if not least <= found <= most:
+            word = self.words[self.at - 1]
+            raise DeckError(self.command, f"{what} is {word}; give a whole number from {least} to {most}.")
+        return found
 
     def type(self) -> int:
         """The next word as an atom type. Raises DeckError for one that create_box does not have."""

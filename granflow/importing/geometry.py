@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from granflow.importing import deformation, meshes, region_walls
-from granflow.importing.deck import Deck, Fix, Run, Translation, Words, impossible
+from granflow.importing.deck import MOST_TYPES, Deck, Fix, Run, Translation, Words, impossible
 from granflow.importing.heat import wall_temperature
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import (
@@ -81,7 +81,7 @@ def change_box(deck: Deck, command: Command, entry: Entry) -> None:
 def create_box(deck: Deck, command: Command, entry: Entry) -> None:
     """create_box N REGION"""
     words = Words(deck, command, command.words)
-    deck.types = words.whole("the number of types")
+    deck.types = words.whole_between("the number of types", most=MOST_TYPES)
     region = region_of(deck, command, words.word("the name of a region"))
     if words.next.startswith(("bond/", "angle/", "extra/")):  # storage of molecules
         words.skip()

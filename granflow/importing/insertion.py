@@ -285,7 +285,7 @@ def insertion(deck: Deck, fix: Fix) -> None:
             if words.word(f"a value of {key}") == "uncorrelated":
                 fix.entry.approximated("the numbers of particles of each size are exact, not random")
         else:
-            remedy = suggestion_sentence(key, {*KEYWORDS, *IGNORED}, "keywords")
+            remedy = suggestion_sentence(key, [*KEYWORDS, *IGNORED], "keywords")
             raise DeckError(fix.entry.command, f"{fix.style} has no keyword {key}. {remedy}")
     if found is None:
         raise DeckError(fix.entry.command, "distributiontemplate is missing.")
@@ -300,7 +300,7 @@ KEYWORDS = (
     *("duration", "extrude_length", "all_in", "vel", "omega", "orientation", "overlapcheck", "set_property"),
 )
 """Keywords of insertions that are translated."""
-IGNORED = {
+IGNORED = (
     *(
         "seed",
         "verbose",
@@ -310,7 +310,7 @@ IGNORED = {
         "check_dist_from_subdomain_border",
     ),
     *("ntry_mc", "parallel", "warn_boxentent", "warn_region"),
-}
+)
 """Keywords of insertions that have no counterpart because granflow does without."""
 
 
@@ -726,7 +726,7 @@ class Pour:
 def pour(deck: Deck, fix: Fix) -> None:
     """fix ID group pour N TYPE SEED region ID KEYWORDS"""
     words = Words(deck, fix.entry.command, fix.words)
-    count, type = words.whole("the number of particles"), words.whole("the type")
+    count, type = words.whole_between("the number of particles"), words.whole("the type")
     words.word("the seed")
     region: Region | None = None
     unit = deck.si(1.0, "length")
@@ -823,7 +823,8 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     if given.rate:
         fix.entry.approximated("the region of the script moves with rate; here it is at rest")
     relative = given.velocity[2] - given.rate
-    fall = (relative + sqrt(relative**2 + 2.0 * g * height)) / g
+    root = sqrt(relative**2 + 2.0 * g * height)
+    fall = 2.0 * height / (root - relative) if relative < 0.0 else (relative + root) / g
     step = deck.acting(fix)[0].time_step
     interval = max(1, round(fall / given.step)) * step
     if given.is_range:

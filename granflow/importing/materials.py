@@ -345,7 +345,7 @@ def old_model(deck: Deck, words: Words, entry: Entry, style: str) -> Model:
     is_hertz = style.startswith("hertz")
     kn = words.positive("Kn", "pressure" if is_hertz else "stiffness")
     kt = _or_default(words, "Kt", "pressure" if is_hertz else "stiffness", 2.0 / 7.0 * kn)
-    gn = words.number("gamma_n", "hertz_damping" if is_hertz else "rate")
+    gn = words.not_negative("gamma_n", "hertz_damping" if is_hertz else "rate")
     gt = _or_default(words, "gamma_t", "hertz_damping" if is_hertz else "rate", 0.5 * gn)
     mu = words.number("xmu")
     damped = words.whole("dampflag")
@@ -379,13 +379,13 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
     tangential, rolling, twisting, damping, cohesion = "none", "none", "none", "viscoelastic", "none"
     if normal == "hooke":
         numbers["kn"] = words.positive("k_n", "stiffness")
-        numbers["eta"] = words.plain("eta_n0")
+        numbers["eta"] = words.not_negative("eta_n0")
     elif normal == "hertz":
         numbers["kn"] = words.positive("k_n", "pressure")
-        numbers["eta"] = words.plain("eta_n0")
+        numbers["eta"] = words.not_negative("eta_n0")
     elif normal in ("hertz/material", "dmt", "jkr"):
         numbers["E"] = words.positive("E", "pressure")
-        numbers["eta"] = words.plain("eta_n0")
+        numbers["eta"] = words.not_negative("eta_n0")
         numbers["nu"] = _poisson_ratio(words)
         if normal != "hertz/material":
             cohesion = normal

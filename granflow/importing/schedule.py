@@ -27,6 +27,7 @@ from granflow.importing.regions import Track, track_variables
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
 from granflow.scene.blocks.gravity import MOST_ROWS
+from granflow.schema.messages import suggestion_sentence
 
 LARGEST_FRAMES = 2000
 """Number of frames above which an interval of output is enlarged."""
@@ -264,12 +265,30 @@ def thermo_style(deck: Deck, command: Command, entry: Entry) -> None:
 
 def thermo_modify(deck: Deck, command: Command, entry: Entry) -> None:
     """thermo_modify KEYWORDS"""
-    words = command.words
-    if "lost" in words[:-1]:
-        deck.family["lost"] = words[words.index("lost") + 1]
+    words = Words(deck, command, command.words)
+    lost = ""
+    while words:
+        key = words.word("a keyword")
+        if key not in THERMO_KEYWORDS:
+            remedy = suggestion_sentence(key, THERMO_KEYWORDS, "keywords")
+            raise DeckError(command, f"thermo_modify has no keyword {key}. {remedy}")
+        value = words.word(f"the value of {key}")
+        if key == "lost":
+            lost = value
+        elif key in ("format", "colname") and value not in ("none", "default"):
+            words.word(f"the second value of {key}")
+    if lost:
+        deck.family["lost"] = lost
         deck.family["lost_entry"] = entry
     else:
         entry.not_needed("settings of the printed table")
+
+
+THERMO_KEYWORDS = (
+    *("lost", "lost/bond", "warn", "norm", "flush", "line", "colname", "format", "temp", "press"),
+    *("triclinic/general", "window"),
+)
+"""Keywords of thermo_modify; format and colname have two values."""
 
 
 def restart(deck: Deck, command: Command, entry: Entry) -> None:

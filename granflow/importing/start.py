@@ -159,8 +159,8 @@ def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
         place = words.vector("the position", "length")
         points = spacing * np.array([place])
     elif style == "random":
-        count = words.whole("the number")
-        random = np.random.default_rng(words.whole("the seed"))
+        count = words.whole_between("the number", 0)
+        random = np.random.default_rng(words.whole_between("the seed"))
         name = words.word("the name of a region")
         points = _random_points(deck, command, random, count, name)
         fills: list[Fill] = deck.own("fills", list)

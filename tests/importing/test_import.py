@@ -15,6 +15,7 @@ from granflow.contact.theory import damping_ratio_for
 from granflow.importing.collisions import collision, free_restitution, plastic_collision, tsuji
 from granflow.importing.convert import all_commands, all_fixes, convert
 from granflow.importing.language import DeckError
+from granflow.importing.materials import LEAST_RESTITUTION
 from granflow.units import to_si
 
 LIGGGHTS = """
@@ -267,6 +268,21 @@ def test_restitution_of_tsuji_in_lammps():
     assert free_restitution(tsuji(0.9) / sqrt(5), False) == pytest.approx(0.928, abs=5e-4)
     assert free_restitution(tsuji(0.8621) / sqrt(5), False) == pytest.approx(0.9, abs=5e-4)
     assert free_restitution(tsuji(0.8593) / sqrt(5), True) == pytest.approx(0.9, abs=5e-4)
+
+
+@pytest.mark.parametrize(("eta", "restitution"), [("0", 1), ("1e30", LEAST_RESTITUTION)])
+def test_extreme_damping_in_lammps(tmp_path, eta, restitution):
+    """Without damping a Hertz contact is elastic; with much of it a particle stays on the other."""
+    model = f"pair_style granular\npair_coeff * * hertz/material 1e7 {eta} 0.3 tangential mindlin NULL 0 0.5"
+    _, scene = imported(tmp_path, LAMMPS.format(model=model))
+    assert scene["pairs"]["type1-type1"]["restitution"] == restitution
+
+
+def test_settings_of_the_printed_table(tmp_path):
+    words = "thermo_modify format float %g flush yes lost ignore norm no colname default"
+    found, scene = imported(tmp_path, liggghts(end=f"{words}\nthermo_modify norm no\nrun 10"))
+    assert scene["domain"]["on_exit"] == "delete"
+    assert remarks(found, "thermo_modify norm no") == [("not needed", "settings of the printed table")]
 
 
 def test_integrated_collision():

@@ -270,6 +270,45 @@ def test_words_of_what_is_not_needed_are_permitted(tmp_path, lines):
             "the density is -1; give a number above 0",
         ),
         ("lammps", [("run 100", "run INF")], "the number of steps is INF"),
+        *(
+            ("lammps", [(before, after)], message)
+            for before, after, message in (
+                (
+                    "diameter 0.004",
+                    "diameter 1e300",
+                    "the diameter is 1e300; give 0 or a magnitude from 1e-30",
+                ),
+                ("gravity 9.81", "gravity 1e-300", "is 1e-300; give 0 or a magnitude from 1e-30 to 1e"),
+                ("create_box 2", "create_box 1e15", "types is 1e15; give a whole number from 1 to 1000"),
+                (
+                    "1 single 0.05 0.05 0.01",
+                    "1 random -1 7 NULL",
+                    "the number is -1; give a whole number from 0",
+                ),
+                (
+                    "1 single 0.05 0.05 0.01",
+                    "1 random 5 -1 NULL",
+                    "the seed is -1; give a whole number from 1",
+                ),
+                (
+                    "fix i",
+                    "fix p all pour 0 1 7 region box\nfix i",
+                    "particles is 0; give a whole number from 1",
+                ),
+                (
+                    HOOKE,
+                    GRANULAR.replace("0.9 0.3", "-0.5 0.3"),
+                    "eta_n0 is -0.5; give 0 or a number above 0",
+                ),
+                ("NULL 100 NULL", "NULL -100 NULL", "gamma_n is -100; give 0 or a number above 0"),
+                (
+                    "run 100",
+                    "thermo_modify lost ignore foo\nrun 100",
+                    "thermo_modify has no keyword foo. The keyw",
+                ),
+                ("run 100", "thermo_modify lost\nrun 100", "the value of lost is missing"),
+            )
+        ),
         ("lammps", [(HOOKE, GRANULAR.replace("1e7", "0"))], "E is 0; give a number above 0"),
         *(
             (
