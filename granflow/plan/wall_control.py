@@ -107,15 +107,16 @@ def controlled_motions_of(
     for index, wall in enumerate(walls):
         for number, motion in enumerate(wall.motions):
             if isinstance(motion, ForceControlledMotion):
-                layer = _layer(scene, wall, motion.direction, law, pair_cases, velocity, step)
+                between = _section_between(scene, walls, index, number)
+                area = wall.area if between is None else between.area
+                covered = area or section(scene.domain, motion.direction)
+                layer = _layer(scene, covered, law, pair_cases, velocity, step)
                 unstable = motion.instability(layer, step)
                 if unstable is not None:
                     key, sentence = unstable
                     location = scene.locate("walls", wall.name, "motion", number, key)
                     raise SceneError(f"{location}: walls.{wall.name}.motion.{key} {sentence}")
                 source = scene.where("walls", wall.name, "motion", number)
-                between = _section_between(scene, walls, index, number)
-                area = wall.area if between is None else between.area
                 numbers = motion.numbers(area or 0.0, scene.gravity_at_start, layer, step)
                 controlled_motions.append(
                     ControlledMotion(index, number, wall.name, motion, numbers, source, between)
@@ -187,19 +188,17 @@ def _plane_of(wall: PlannedWall) -> tuple[np.ndarray, np.ndarray] | None:
 
 def _layer(
     scene: Scene,
-    wall: PlannedWall,
-    direction: Vector3,
+    area: float,
     law: NormalLaw,
     pair_cases: Sequence[PairCase],
     velocity: float,
     step: float,
 ) -> WallContacts:
-    """The contacts of a layer of particles on the wall.
+    """The contacts of a layer of particles on an area [m2] of a wall.
 
-    A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
+    A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2.
     """
     radius = min(pair_case.radius for pair_case in pair_cases)
-    area = wall.area or section(scene.domain, direction)
     sphere_count = sum(group.sphere_count for group in scene.particles.values())
     in_layer = area / (2.0 * sqrt(3.0) * radius**2)
     responses = [

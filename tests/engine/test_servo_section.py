@@ -130,3 +130,22 @@ def test_two_walls_enclose_a_section_with_a_periodic_axis():
     scene["walls"]["high_y"]["motion"][0]["between"] = ["high_x", "low_x"]
     forces = [each.force for each in plan_for(Scene.from_dict(scene)).controlled_motions]
     assert forces == pytest.approx(PRESSURES[:2] * (DIAMETER + GAP) * 0.04)
+
+
+def test_default_gain_is_that_of_a_wall_of_the_size_of_the_section():
+    """27 spheres: more than the closest layer on the section, fewer than on the domain."""
+    low = servo_box().to_dict()
+    places = [[(i + 0.5) * 0.004, (j + 0.5) * 0.004, (k + 0.5) * 0.004]
+              for i in range(3) for j in range(3) for k in range(3)]  # fmt: skip
+    low["particles"] = {"ball": particle_group(places, 0.0035)}
+    for axis in "xy":
+        del low["walls"][f"high_{axis}"]["motion"]
+    rectangle = Scene.from_dict(low).to_dict()
+    side = DIAMETER + GAP
+    plate = rectangle["walls"]["high_z"]
+    del plate["normal"], plate["point"], plate["motion"][0]["between"]
+    plate |= {"shape": "rectangle", "corner": [0, 0, side], "sides": [[side, 0, 0], [0, side, 0]]}
+    between, own = (
+        plan_for(Scene.from_dict(each)).controlled_motions[0].numbers for each in (low, rectangle)
+    )
+    assert between == pytest.approx(own)
