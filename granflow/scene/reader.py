@@ -335,5 +335,7 @@ def _new_part(
     if depth:
         remedy = suggestion_sentence(keys[depth], entries, f"keys in {dotted(parent)}")
         raise _Refused(f"{dotted(path)} is not in the scene. {remedy}")
+    if keys[depth] in SceneInput.model_fields:  # a block of named things, none of which the scene has
+        raise _Refused(f"{dotted(path)} is not in the scene; write it in the scene file.")
     remedy = suggestion_sentence(keys[depth], SceneInput.model_fields, "known keys")
     raise _Refused(f"{dotted(path)} is not a known key. {remedy}")

@@ -166,6 +166,12 @@ def test_missing_key_in_an_override_is_reported_with_the_override():
     ]
 
 
+def test_override_in_a_block_that_the_scene_has_not():
+    assert sentences(HERE.parents[1] / "scenes/two_spheres.yaml", "walls.lid.radius=1") == [
+        "--set walls.lid.radius=1: walls is not in the scene; write it in the scene file."
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "kind", "verb"),
     [
