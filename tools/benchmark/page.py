@@ -95,9 +95,10 @@ Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ran
 
 - **Processors newer than the compiler**: LLVM 15, the compiler in Taichi 1.7.4, does not know AMD's family 26 (Zen 5) and
   optimizes for x86 without AVX there: the optimized code of the hopper has vectors of two numbers only (1843 places, none of
-  four). Quadrants has LLVM 22. One thread, M particle-steps/s in turn on an idle machine, Taichi and Quadrants: bed 1000
-  10.9, 15.8; bed 10000 10.0, 13.1; hopper 8.4, 10.1; two threads: bed 1000 17.5, 28.8; bed 10000 16.7, 23.8. LAMMPS (2021)
-  has 11.1, 9.4, 5.1 and 18.1, 18.6. `granflow run` says so at the end of a run of more than a minute. The start takes 1 to
+  four), Quadrants with LLVM 22 has vectors of eight. Medians on an idle machine, M particle-steps/s: Taichi (three rounds)
+  one thread 10.7, 10.2, 7.9, hopper 8.2, two threads 17.7, 12.5, 14.5, hopper 13.9; Quadrants (two rounds, in turn with
+  the peers of the table above) one thread 17.0, 15.1, 11.3, hopper 10.3, two threads 27.6, 23.4, 17.8, hopper 17.9, for 1000,
+  10000 and 50000 particles. `granflow run` says so at the end of a run of more than a minute. The start takes 1 to
   2 s more with Quadrants 1.3.3 (hopper, compiled before: 3.8 s in place of 1.8 s), so that Taichi is the default.
 - **Order of the particles**: the order of cells in blocks of 8 x 8 x 8 puts as few pairs across chunks as the Hilbert curve
   and the Z-order curve within 1 to 3 points, for chunks of 512 to 4096. The curves would be another sort for no gain.
