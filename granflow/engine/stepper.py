@@ -77,12 +77,13 @@ class Stepper:
     def _completing(self) -> Iterator[None]:
         """In the block, forces are computed also if a rebuild has aborted the run because a particle has left
         the domain: the state that is written is then that of the other particles at the end of this step."""
-        code, particle = self.abort_code, int(self.state.control.abort_particle[0])
-        if code == ABORT_LEFT_DOMAIN:
-            self._set_abort(0, NO_PARTICLE)
+        if self.abort_code != ABORT_LEFT_DOMAIN:
+            yield
+            return
+        particle = int(self.state.control.abort_particle[0])
+        self._set_abort(0, NO_PARTICLE)
         yield
-        if code == ABORT_LEFT_DOMAIN:
-            self._set_abort(code, particle)
+        self._set_abort(ABORT_LEFT_DOMAIN, particle)
 
     def _set_abort(self, code: int, particle: int) -> None:
         """Set the abort code and the id of its particle."""

@@ -221,10 +221,11 @@ def lifted_height(plan: Plan, height: float) -> tuple[float, str | None]:
         float(np.array(corner) @ up)
         for corner in product(*zip(scene.domain.min, scene.domain.max, strict=True))
     )
+    held = surface_speed(scene) ** 2 / magnitude
     largest: tuple[float, str | None] = (height, None)
     for wall in plan.walls:
         is_in_place = any(each.rotates for each in wall.motions) and not speeds[wall.name]
-        drop = surface_speed(scene) ** 2 / magnitude if is_in_place else None
+        drop = held if is_in_place else None
         lift = sum(each.lift(up, scene.longest_duration) for each in wall.motions)
         top = height + lift if lift < inf else _highest_point(wall, up, end, drop) - low
         if lift > 0.0 and top > largest[0]:

@@ -21,7 +21,6 @@ from granflow.plan.pair_case import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.motions import ForceControlledMotion, Numbers, WallContacts
-from granflow.scene.blocks.walls.half_space import HalfSpace
 from granflow.scene.blocks.walls.rectangle import Plate
 from granflow.schema.quantities import Vector3
 
@@ -179,11 +178,9 @@ def _section_between(scene: Scene, walls: Sequence[PlannedWall], index: int, num
 def _plane_of(wall: PlannedWall) -> tuple[np.ndarray, np.ndarray] | None:
     """A point of a flat wall and its unit normal; None for other walls."""
     surface = wall.surface
-    if isinstance(surface, HalfSpace):
-        return np.asarray(surface.point), np.asarray(surface.normal)
     if isinstance(surface, Plate):
         return np.asarray(surface.corner), np.asarray(surface.normal)
-    return None
+    return surface.plane
 
 
 def _layer(

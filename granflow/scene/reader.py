@@ -36,10 +36,8 @@ M = TypeVar("M", bound=Model)
 SCENE_KEYS = {"materials", "particles"}
 """Required keys of a scene that no other file has."""
 
-STUDY_KEYS = {"sweep": {"scene", "vary"}, "calibration": {"scenes", "targets"}}
-"""Required keys of other files that no scene has, by what the files describe."""
-STUDY_VERBS = {"sweep": "sweep", "calibration": "calibrate"}
-"""Verbs that read these files."""
+STUDIES = {"sweep": ("sweep", {"scene", "vary"}), "calibration": ("calibrate", {"scenes", "targets"})}
+"""Other files by what they describe: the verb that reads them, and required keys that no scene has."""
 
 
 def validated_file(path: Path, schema: type[M], kind: str) -> tuple[M, Document]:
@@ -101,11 +99,11 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
     """
     problems = list(document.problems)
     keys = set(document.root.entries or ())
-    for kind, its_keys in STUDY_KEYS.items():
+    for kind, (verb, its_keys) in STUDIES.items():
         if its_keys <= keys and not keys & SCENE_KEYS:
             raise SceneError(
                 f"{document.root.position}: this is a {kind}, not a scene; "
-                f"granflow {STUDY_VERBS[kind]} reads it, and its --dry-run checks it."
+                f"granflow {verb} reads it, and its --dry-run checks it."
             )
     for override in overrides:
         problems += _apply_override(document, override)

@@ -11,6 +11,9 @@ from typing import Any
 from granflow import Scene, load_scene
 from granflow.io.files import example_paths
 
+Row = tuple[str, float, float, str]
+"""What is compared, reference, number from granflow, and unit."""
+
 
 @dataclass(frozen=True)
 class ValidationCase:
@@ -62,6 +65,25 @@ class ValidationCase:
     def from_dict(cls, stored: dict[str, Any]) -> "ValidationCase":
         """Case from `as_dict`; deviation and status are computed again."""
         return cls(**{name: value for name, value in stored.items() if name not in ("deviation", "status")})
+
+
+def cases_of(
+    kind: str, name: str, source: str, allowed: float, derivation: str, rows: Sequence[Row]
+) -> list[ValidationCase]:
+    """A case for each row, with `name` and what the row compares, and the same allowed deviation."""
+    return [
+        ValidationCase(
+            kind=kind,
+            name=f"{name}: {what}",
+            reference=float(reference),
+            source=source,
+            value=float(value),
+            unit=unit,
+            allowed=allowed,
+            derivation=derivation,
+        )
+        for what, reference, value, unit in rows
+    ]
 
 
 def shipped_scene(name: str, overrides: Sequence[str] = ()) -> Scene:

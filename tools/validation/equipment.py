@@ -11,7 +11,7 @@ from scipy.special import ellipk
 
 from granflow import Scene, Simulation
 from granflow.geometry.sphere import sphere_mass
-from validation.case import ValidationCase, shipped_scene
+from validation.case import ValidationCase, cases_of, shipped_scene
 
 GRAVITY = 9.81
 SOLID = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
@@ -44,19 +44,14 @@ def _archard_cases() -> list[ValidationCase]:
         ("tangential work", energy, totals["wear_tangential_work.bench"], "J"),
         ("worn volume", WEAR / HARDNESS * energy / FRICTION, totals["wear_volume.bench"], "m3"),
     )
-    return [
-        ValidationCase(
-            kind="Wear of walls",
-            name=f"sled that slides to rest: {name}",
-            reference=reference,
-            source="Archard 1953, doi 10.1063/1.1721448: V = k F s / H",
-            value=value,
-            unit=unit,
-            allowed=rocking,
-            derivation="work of the normal forces over the kinetic energy: the sled rocks",
-        )
-        for name, reference, value, unit in rows
-    ]
+    return cases_of(
+        "Wear of walls",
+        "sled that slides to rest",
+        "Archard 1953, doi 10.1063/1.1721448: V = k F s / H",
+        rocking,
+        "work of the normal forces over the kinetic energy: the sled rocks",
+        rows,
+    )
 
 
 def _finnie_case(degrees: float) -> ValidationCase:
@@ -132,19 +127,14 @@ def residence_cases() -> list[ValidationCase]:
             "1",
         ),
     )
-    return [
-        ValidationCase(
-            kind="Residence times",
-            name=f"two streams in plug flow: {name}",
-            reference=reference,
-            source="distance over velocity; moments of Danckwerts 1953, doi 10.1016/0009-2509(53)80001-1",
-            value=float(value),
-            unit=unit,
-            allowed=1e-9,
-            derivation="rounding: the velocities are constant, and passages are interpolated between samples",
-        )
-        for name, reference, value, unit in rows
-    ]
+    return cases_of(
+        "Residence times",
+        "two streams in plug flow",
+        "distance over velocity; moments of Danckwerts 1953, doi 10.1016/0009-2509(53)80001-1",
+        1e-9,
+        "rounding: the velocities are constant, and passages are interpolated between samples",
+        rows,
+    )
 
 
 def equipment_motion_cases() -> list[ValidationCase]:
@@ -200,19 +190,17 @@ def _chain_cases() -> list[ValidationCase]:
     expected = center + _turned(2, -10.0 * last.time, start - center)
     expected = _turned(2, 6.0 * last.time, expected)
     expected = _turned(0, 0.2 * math.sin(2.0 * math.pi * last.time), expected)
-    return [
-        ValidationCase(
-            kind="Motions of walls and gravity",
-            name=f"point of a planetary wall on a frame that rocks: {axis}",
-            reference=float(reference),
-            source="kinematics of rigid bodies: product of three rotations",
-            value=float(value),
-            unit="m",
-            allowed=1e-9,
-            derivation="rounding: the pose is a closed form of the time",
-        )
-        for axis, reference, value in zip("xyz", expected, last.particles["position"][0], strict=True)
-    ]
+    return cases_of(
+        "Motions of walls and gravity",
+        "point of a planetary wall on a frame that rocks",
+        "kinematics of rigid bodies: product of three rotations",
+        1e-9,
+        "rounding: the pose is a closed form of the time",
+        [
+            (axis, each, x, "m")
+            for axis, each, x in zip("xyz", expected, last.particles["position"][0], strict=True)
+        ],
+    )
 
 
 def _gravity_cases() -> list[ValidationCase]:
@@ -234,19 +222,14 @@ def _gravity_cases() -> list[ValidationCase]:
         )
         for axis, reference, value in zip("xz", references, values, strict=True)
     ]
-    return [
-        ValidationCase(
-            kind="Motions of walls and gravity",
-            name=f"free particle, gravity that turns by {angle:g} rad: {name}",
-            reference=float(reference),
-            source="-g (sin w t, 0, cos w t), integrated",
-            value=float(value),
-            unit=unit,
-            allowed=(TURN_RATE * TURN_STEP) ** 2,
-            derivation="(w dt)^2: the scheme is of second order",
-        )
-        for name, reference, value, unit in rows
-    ]
+    return cases_of(
+        "Motions of walls and gravity",
+        f"free particle, gravity that turns by {angle:g} rad",
+        "-g (sin w t, 0, cos w t), integrated",
+        (TURN_RATE * TURN_STEP) ** 2,
+        "(w dt)^2: the scheme is of second order",
+        rows,
+    )
 
 
 def _pendulum_case() -> ValidationCase:
