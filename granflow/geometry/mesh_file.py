@@ -91,9 +91,10 @@ def read_triangles(path: Path) -> RawTriangles:
 
 
 def _without_comments(raw: bytes) -> bytes:
-    """The bytes of a file without the lines before the first and after the last one that are comments."""
-    lines = raw.splitlines(keepends=True)
-    kept = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(STL_COMMENTS)]
+    """The bytes of a text STL file without empty lines, which meshio does not read, and without the comments
+    before its first line and after its last one."""
+    lines = [line for line in raw.splitlines(keepends=True) if line.strip()]
+    kept = [k for k, line in enumerate(lines) if not line.lstrip().startswith(STL_COMMENTS)]
     return b"".join(lines[kept[0] : kept[-1] + 1]) if kept else raw
 
 

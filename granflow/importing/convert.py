@@ -20,10 +20,10 @@ from granflow.importing import (
     settings,
     start,
 )
-from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words
+from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words, plain_style
 from granflow.importing.groups import MOVERS, group_named, tell_bodies, tell_excluded, tell_inserted
 from granflow.importing.language import Command, DeckError, Interpreter
-from granflow.importing.report import Entry, Report
+from granflow.importing.report import NOT_POSSIBLE, Entry, Report
 from granflow.importing.scene_text import Draft
 from granflow.schema.messages import nearest
 
@@ -105,7 +105,7 @@ def atom_style(deck: Deck, command: Command, entry: Entry) -> None:
     style = words.word("the atom style")
     if words.next in ("0", "1"):  # whether radii change
         words.skip()
-    if style in SHAPES:
+    if plain_style(style, SHAPES) in SHAPES:
         entry.not_needed("particles are spheres or clumps")
     else:
         entry.impossible(f"atom_style {style}", "spheres, or clumps of spheres")
@@ -120,7 +120,17 @@ def dimension(deck: Deck, command: Command, entry: Entry) -> None:
         entry.impossible("two dimensions", "a layer one diameter thick")
 
 
+def clear(deck: Deck, command: Command, entry: Entry) -> None:
+    """clear: the next command begins another simulation, if there was one before."""
+    entry.not_needed("no simulation precedes it, or none follows")
+    if deck.box is not None:
+        deck.family["cleared"] = entry
+
+
 OWN: dict[str, Translation] = {
+    "clear": Translation(
+        clear, "not needed", "before the simulation and after it; a second one is not possible"
+    ),
     "units": Translation(units, "all numbers", "si, cgs, micro, nano; lj is taken as SI"),
     "atom_style": Translation(atom_style, "not needed", "sphere, granular"),
     "dimension": Translation(dimension, "not needed", "3"),
@@ -152,10 +162,10 @@ def fix(deck: Deck, command: Command, entry: Entry, fixes: Mapping[str, Translat
     earlier = deck.fixes.pop(name, None)
     if earlier is not None:
         earlier.end = deck.time
-    made = Fix(name, group, style, words.rest, entry, deck.time, deck.step)
+    made = Fix(name, group, plain_style(style, fixes), words.rest, entry, deck.time, deck.step)
     deck.fixes[name] = made
     deck.all_fixes.append(made)
-    translation = fixes.get(style)
+    translation = fixes.get(made.style)
     if translation is None:
         entry.impossible(f"fix {style} is not known", _similar(style, fixes))
         return
@@ -228,22 +238,34 @@ def convert(
         else:
             report.entry(command).not_needed("executed: the scene has the result")
 
-    interpreter = Interpreter(given=settings, on_executed=executed)
+    commands, fixes = all_commands(), all_fixes()
+    unneeded = {name for name, each in commands.items() if each.is_unneeded}
+    interpreter = Interpreter(given=settings, unneeded=unneeded, on_executed=executed)
     deck = Deck(code, interpreter, report)
     deck.family["folder"] = path.parent
-    commands, fixes = all_commands(), all_fixes()
     for command in interpreter.commands(path):
+        if "cleared" in deck.family:
+            deck.family["cleared"].impossible(
+                "a second simulation in one script",
+                "a script for each, or one value for the variable of its loop (--set NAME=VALUE)",
+            )
+            break
         entry = report.entry(command)
-        if command.name == "fix":
-            fix(deck, command, entry, fixes)
-        elif command.name in commands:
-            commands[command.name].handler(deck, command, entry)
-        else:
-            entry.impossible(f"the command {command.name} is not known", _similar(command.name, commands))
+        try:
+            if command.name == "fix":
+                fix(deck, command, entry, fixes)
+            elif command.name in commands:
+                commands[command.name].handler(deck, command, entry)
+            else:
+                entry.impossible(f"the command {command.name} is not known", _similar(command.name, commands))
+        except DeckError as error:
+            if all(each is entry or each.kind != NOT_POSSIBLE for each in report.entries):
+                raise
+            entry.impossible(
+                f"{error.reason.removesuffix('.')} (what is not possible before may be the cause)"
+            )
         deck.report_unread(entry)
         _tell_box(deck)
-        if command.name == "clear":
-            break
     try:
         draft = _draft(deck, path)
     except GranflowError:

@@ -6,7 +6,7 @@ its times tell in which stages it acts.
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -409,6 +409,13 @@ class Words:
             raise DeckError(self.command, f"there is no fix mesh/surface {name}. Meshes: {known}.")
         return meshes[name]
 
+    def mesh_with_triangles(self) -> "Fix":
+        """The next word as the name of a mesh whose file is read. Raises DeckError."""
+        mesh = self.mesh()
+        if mesh.data is None:
+            raise DeckError(self.command, f"the mesh {mesh.name} is not possible, see its line.")
+        return mesh
+
     def vector(self, what: str, dimension: str = "number") -> Vector:
         """The next three words as a vector in SI units."""
         return (self.number(what, dimension), self.number(what, dimension), self.number(what, dimension))
@@ -431,16 +438,18 @@ class Translation:
     handler:      function (deck, command, entry) for a command, (deck, fix) for a fix
     counterpart:  keys of a scene, for the table of the documentation
     note:         what differs, for the same table
+    is_unneeded:  whether granflow does without it, whatever its words are
     """
 
     handler: Callable[..., None]
     counterpart: str
     note: str = ""
+    is_unneeded: bool = False
 
 
 def not_needed(reason: str) -> Translation:
     """A command or fix that granflow does without."""
-    return Translation(lambda *given: entry_of(*given).not_needed(reason), "not needed", reason)
+    return Translation(lambda *given: entry_of(*given).not_needed(reason), "not needed", reason, True)
 
 
 def impossible(reason: str, nearest: str = "") -> Translation:
@@ -450,6 +459,18 @@ def impossible(reason: str, nearest: str = "") -> Translation:
         "not possible",
         f"{reason}; nearest: {nearest}" if nearest else reason,
     )
+
+
+ACCELERATED = ("omp", "kk", "kk/host", "kk/device", "gpu", "intel", "opt")
+"""Ends of the names of styles that are computed in another way, with the same result."""
+
+
+def plain_style(style: str, known: Container[str]) -> str:
+    """The name of a style without the variant for an accelerator, such as nve/sphere of nve/sphere/kk."""
+    for end in ACCELERATED:
+        if style.endswith(f"/{end}") and style.removesuffix(f"/{end}") in known:
+            return style.removesuffix(f"/{end}")
+    return style
 
 
 def entry_of(*given: Any) -> Entry:

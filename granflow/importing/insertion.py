@@ -228,7 +228,7 @@ def insertion(deck: Deck, fix: Fix) -> None:
         elif key == "region":
             given["region"] = region_of(deck, fix.entry.command, words.word("the name of a region"))
         elif key == "insertion_face":
-            given["face"] = words.mesh()
+            given["face"] = words.mesh_with_triangles()
         elif key in ("nparticles", "particles_in_region"):
             given["count"] = words.number_or_infinite("the number of particles", "number")
         elif key in ("mass", "mass_in_region"):
@@ -957,8 +957,11 @@ FIXES: dict[str, Translation] = {
     "insert/pack": Translation(insertion, "insert: {kind: pack}", "repeated: pack and rain"),
     "insert/stream": Translation(insertion, "insert: {kind: inlet}"),
     "insert/rate/region": Translation(insertion, "insert: {kind: rain}"),
-    "pour": Translation(
-        pour, "insert: {kind: inlet}", "batches become a constant rate at the lower end of the region"
+    **dict.fromkeys(
+        ("pour", "pour/legacy"),
+        Translation(
+            pour, "insert: {kind: inlet}", "batches become a constant rate at the lower end of the region"
+        ),
     ),
     "insert/stream/predefined": impossible(
         "insertions at times of a file", "insert: {kind: inlet}, one group for each time (start, end)"

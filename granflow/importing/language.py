@@ -9,7 +9,8 @@ that need the state of a simulation raise `NotKnown`.
 import math
 import operator
 import random
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +27,8 @@ FILE_COMMANDS = (("mkdir",), ("rm",), ("rmdir",))
 """Words of shell that prepare folders for output."""
 OWN = {*("variable", "include", "jump", "label", "echo", "log", "print", "info", "next", "quit"), *FOREIGN}
 """Commands of the language itself."""
+FILES_ONLY = ("dump", "restart", "write_dump", "write_restart", "write_data", "log", "echo", "shell")
+"""Commands whose names of files a scene does not need."""
 LOOPED = ("index", "loop", "string", "universe", "uloop", "world")
 """Styles of variables whose values are texts."""
 
@@ -191,6 +194,8 @@ class Interpreter:
     facts: dict[str, float] = field(default_factory=lambda: {"step": 0.0, "elapsed": 0.0, "time": 0.0})
     variables: dict[str, Variable] = field(default_factory=dict)
     printed: list[str] = field(default_factory=list)
+    unneeded: Container[str] = ()
+    """Names of further commands that a scene does not need."""
     on_executed: Callable[[Command, str], None] = lambda command, problem: None
     """Called with each executed command of the language, and why it has no counterpart (mostly empty)."""
     _executed: int = 0
@@ -257,7 +262,7 @@ class Interpreter:
             try:
                 words = [self._substitute(each) for each in words]
             except NotKnown as error:
-                raise DeckError(line, f"{error}; give it with --set NAME=VALUE.") from None
+                raise DeckError(line, f"{error}; {self._remedy(line.file)}") from None
             except ValueError as error:
                 raise DeckError(line, f"the bracket of {error} is not closed.") from None
             for chosen in self._branch(line, words):
@@ -267,8 +272,10 @@ class Interpreter:
             # print substitutes variables inside quotes as well
             text = self._substitute(line.text) if line.head == "print" else self._outside(line.text)
         except NotKnown as error:
-            yield from self._unknown(line, error)
-            return
+            if line.head not in FILES_ONLY and line.head not in self.unneeded:
+                yield from self._unknown(line, error)
+                return
+            text = " ".join(self._known_part(each) for each in line.text.split())
         except ValueError as error:
             raise DeckError(line, f"the bracket of {error} is not closed.") from None
         words = split_words(line, text)
@@ -283,11 +290,28 @@ class Interpreter:
         words = line.text.split()
         command = Command(words[0], tuple(words[1:]), line.file, line.line, " ".join(words))
         if not error.is_result or line.head not in ("print", "variable") or len(words) < 2:
-            raise DeckError(line, f"{error}; give it with --set NAME=VALUE.") from None
+            raise DeckError(line, f"{error}; {self._remedy(line.file)}") from None
         if line.head == "variable" and words[1] not in self.given:
             self.variables[words[1]] = Variable("result", [str(error)])
         self.on_executed(command, "")
         yield from ()
+
+    def _known_part(self, word: str) -> str:
+        """A word with its variables substituted; the word itself if one is not known."""
+        try:
+            return self._substitute(word)
+        except (NotKnown, ValueError):
+            return word
+
+    def _remedy(self, file: Path) -> str:
+        """How to give variables: all that the file uses, but neither it nor a file before has defined."""
+        text = "\n".join(line.text for line in self._read(file, None))
+        used = re.findall(r"\$\{(\w+)\}|\$(\w)|\bv_(\w+)", text)
+        defined = {*re.findall(r"^\s*variable\s+(\w+)", text, re.MULTILINE), *self.variables}
+        missing = [name for name in dict.fromkeys("".join(each) for each in used) if name not in defined]
+        if len(missing) < 2:
+            return "give it with --set NAME=VALUE."
+        return f"give {', '.join(missing[:-1])} and {missing[-1]} with --set NAME=VALUE, once for each."
 
     def _own(self, command: Command, line: Line, path: Path, depth: int) -> Iterator[Command | Path]:
         """Execute a command of the language, or yield it."""

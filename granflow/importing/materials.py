@@ -14,7 +14,16 @@ from typing import Any
 
 from granflow.contact.theory import damping_ratio_for
 from granflow.importing.collisions import collision, free_restitution, plastic_collision, tsuji
-from granflow.importing.deck import Deck, Fix, ParticleGroup, Translation, Words, impossible, not_needed
+from granflow.importing.deck import (
+    Deck,
+    Fix,
+    ParticleGroup,
+    Translation,
+    Words,
+    impossible,
+    not_needed,
+    plain_style,
+)
 from granflow.importing.language import Command, DeckError
 from granflow.importing.report import APPROXIMATED, Entry
 from granflow.importing.scene_text import Draft, plain_name, quantity
@@ -474,6 +483,10 @@ def _poisson_ratio(words: Words) -> float:
     return found
 
 
+PAIR_STYLES = ("gran", "gran/hooke", "gran/hooke/history", "gran/hertz/history", "granular")
+"""Pair styles with contact forces."""
+
+
 def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
     """pair_style gran ... | gran/hooke[/history] ... | gran/hertz/history ... | granular | hybrid STYLE "
     "..."""
@@ -481,15 +494,14 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
     style = words.word("the name of the pair style")
     if style in ("hybrid", "hybrid/overlay"):
         style = words.word("the name of a pair style")
+    style = plain_style(style, PAIR_STYLES)
     if deck.family.get("pair_style") == "soft":
         deck.drop_separating_runs()
     before: Model | None = deck.family.get("model")
     deck.family["pair_style"] = style
     if style == "gran":
         deck.family["model"] = liggghts_model(deck, words, entry)
-    elif style.removeprefix("gran/") in ("hooke", "hooke/history", "hertz/history") and style.startswith(
-        "gran/"
-    ):
+    elif style.startswith("gran/") and style in PAIR_STYLES:
         deck.family["model"] = old_model(deck, words, entry, style.removeprefix("gran/"))
         if words:
             entry.impossible(f"the further style {words.next}", "one granular style")
@@ -524,8 +536,12 @@ def pair_coeff(deck: Deck, command: Command, entry: Entry) -> None:
     words = Words(deck, command, command.words)
     first, second = words.word("a type"), words.word("a type")
     deck.family["has_pair_coeff"] = True
-    if words.next in ("granular", "gran", "gran/hooke", "gran/hooke/history", "gran/hertz/history"):
+    if plain_style(words.next, PAIR_STYLES) in PAIR_STYLES:
         words.word("the style")
+    if deck.family.get("pair_style") == "soft":
+        words.skip()
+        entry.not_needed("the soft pair style separates random particles, see its line")
+        return
     if "pair_models" not in deck.family or not words:
         entry.not_needed("the coefficients are in pair_style and the properties")
         return

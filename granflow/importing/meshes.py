@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from granflow.geometry.mesh_file import read_triangles
 from granflow.importing.deck import Deck, Fix, Translation, Vector, Words
@@ -21,7 +22,9 @@ SAME_SPEED = 1e-3
 ROUND = 0.05
 """Largest share of a velocity across the faces, at which a mesh counts as a surface of revolution."""
 FLAT = 1e-6
-"""Largest distance from a plane over the size, at which a mesh counts as flat."""
+"""Smallest component of a unit vector that counts as one."""
+ROUNDED = 1e-4
+"""Error of the corners of a flat mesh over its size, from the few digits of text files."""
 
 
 @dataclass
@@ -363,7 +366,7 @@ def massflow(deck: Deck, fix: Fix) -> None:
     """fix ID group massflow/mesh mesh NAME vec_side X Y Z [count once|multiple] [delete_atoms yes|no] ..."""
     words = Words(deck, fix.entry.command, fix.words)
     words.word("the keyword mesh")
-    mesh = words.mesh()
+    mesh = words.mesh_with_triangles()
     outside: Vector | None = None
     point: Vector | None = None
     deletes, once, inside_out = False, False, False
@@ -542,13 +545,13 @@ def flat_face(mesh: Mesh, outside: np.ndarray) -> FlatFace | None:
     areas = 0.5 * np.linalg.norm(edges, axis=1)
     normal = edges[np.argmax(areas)] / np.linalg.norm(edges[np.argmax(areas)])
     normal = normal if normal @ outside >= 0.0 else -normal
-    points = np.unique(np.round(triangles.reshape(-1, 3), 12), axis=0)
+    points = _distinct(triangles.reshape(-1, 3))
     center = points.mean(axis=0)
     distance = np.linalg.norm(points - center, axis=1)
     size = float(distance.max())
-    if np.abs((points - center) @ normal).max() > FLAT * size:
+    if np.abs((points - center) @ normal).max() > ROUNDED * size:
         return None
-    if len(points) == 4 and np.ptp(distance) < FLAT * size:
+    if len(points) == 4 and np.ptp(distance) < ROUNDED * size:
         order = np.argsort(np.linalg.norm(points - points[0], axis=1))
         first, second = points[order[1]] - points[0], points[order[2]] - points[0]
         if np.cross(first, second) @ normal < 0.0:
@@ -562,6 +565,13 @@ def flat_face(mesh: Mesh, outside: np.ndarray) -> FlatFace | None:
     if abs(size / radius - 1.0) > 0.05:
         difference = f"radius {radius:.3g} m, farthest corner of the mesh {size:.3g} m"
     return FlatFace(center, normal, None, radius, size, difference)
+
+
+def _distinct(points: np.ndarray) -> np.ndarray:
+    """The points (n, 3) without those that differ from an earlier one by the rounding of text files only."""
+    tree = KDTree(points)
+    near = tree.query_ball_point(points, ROUNDED * float(np.ptp(points, axis=0).max()))
+    return np.asarray(points[[k for k, each in enumerate(near) if min(each) == k]])
 
 
 def clean(values: Any) -> list[float]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import hypot, inf, nan
+from math import hypot, inf, isnan, nan
 
 import numpy as np
 
@@ -147,7 +147,7 @@ def region(deck: Deck, command: Command, entry: Entry) -> None:
         axis, numbers = _wedge(words)
         entry.impossible("regions of the style wedge", "a cylinder, which --partial takes")
         style = "cylinder"
-    elif style in ("mesh/tet", "mesh"):
+    elif style in ("mesh/tet", "mesh/hex", "mesh"):
         entry.impossible(f"regions of the style {style}", "a block; --partial takes the whole box")
         while words and words.next not in ("side", "units"):
             words.word("a value")
@@ -204,7 +204,7 @@ def _read_keywords(deck: Deck, words: Words, found: Region) -> None:
         elif key == "rotate":
             rotation = values
     found.open = tuple(opened)
-    spacing = 1.0 if in_box_units else float(deck.family.get("lattice", 1.0))
+    spacing = 1.0 if in_box_units else lattice_spacing(deck, command)
     if spacing != 1.0:
         lengths = 3 if found.kind == "plane" else len(found.numbers)
         found.numbers = tuple(v * (spacing if k < lengths else 1.0) for k, v in enumerate(found.numbers))
@@ -367,18 +367,67 @@ BASIS: dict[str, tuple[Vector, ...]] = {
 """Positions of the particles in the cell of a lattice, in cells."""
 
 
+@dataclass(frozen=True)
+class Lattice:
+    """A lattice in the units of the script.
+
+    cell:    edges of the unit cell as rows (3, 3)
+    basis:   positions (n, 3) of the particles in cells
+    origin:  position (3,) of the first cell
+    """
+
+    cell: np.ndarray
+    basis: np.ndarray
+    origin: np.ndarray
+
+
 def lattice(deck: Deck, command: Command, entry: Entry) -> None:
-    """lattice STYLE SCALE: the unit of lengths of regions with `units lattice`."""
+    """lattice STYLE SCALE [a1 X Y Z] [a2 ..] [a3 ..] [basis X Y Z] [origin X Y Z]: the places of particles,
+    and the unit of lengths of regions with `units lattice`.
+
+    The scale multiplies the cell; in units lj it is the number of particles per volume.
+    """
     words = Words(deck, command, command.words)
     style = words.word("the style of the lattice")
-    scale = words.plain("the scale")
-    if style not in BASIS or words:
-        entry.impossible(f"the lattice {' '.join(command.words)}", f"one of {', '.join(BASIS)}, or units box")
+    scale = words.positive("the scale", "number")
+    if style not in BASIS and style != "custom":
+        entry.impossible(f"the lattice {style}", f"one of {', '.join(BASIS)} and custom, or units box")
+        words.skip()
         return
-    is_density = deck.units == "lj" and style != "none"
-    deck.family["lattice_style"] = style
-    deck.family["lattice"] = (len(BASIS[style]) / scale) ** (1.0 / 3.0) if is_density else scale
+    cell, origin = np.eye(3), np.zeros(3)
+    basis = list(BASIS.get(style, ()))
+    while words:
+        key = words.word("a keyword")
+        if key in ("a1", "a2", "a3") and style == "custom":
+            cell[int(key[1]) - 1] = words.vector(key)
+        elif key == "basis" and style == "custom":
+            basis.append(words.vector(key))
+        elif key == "origin":
+            origin = np.array(words.vector(key))
+        else:
+            entry.impossible(f"the keyword {key} of a lattice", "a1, a2, a3, basis and origin")
+            words.skip()
+    volume = abs(float(np.linalg.det(cell)))
+    if volume == 0.0:
+        raise DeckError(
+            command, "the cell of the lattice has no volume; give three directions a1, a2 and a3."
+        )
+    if deck.units == "lj" and style != "none":
+        scale = (len(basis) / volume / scale) ** (1.0 / 3.0)
+    cell *= scale
+    spacing = np.abs(cell).sum(axis=0)
+    deck.family["lattice_cell"] = Lattice(cell, np.array(basis).reshape(-1, 3), origin * spacing)
+    deck.family["lattice"] = float(spacing[0]) if np.ptp(spacing) <= 1e-12 * spacing[0] else nan
     entry.not_needed("lengths are converted")
+
+
+def lattice_spacing(deck: Deck, command: Command) -> float:
+    """The unit of lengths without `units box`. Raises DeckError for a lattice with another one along each
+    axis."""
+    spacing = float(deck.family.get("lattice", 1.0))
+    if isnan(spacing):
+        raise DeckError(command, "the lattice has other lengths along x, y and z; give units box.")
+    return spacing
 
 
 GROUP_STYLES = (
@@ -409,6 +458,6 @@ COMMANDS: dict[str, Translation] = {
         region, "walls, insert.region", "block, cylinder, cone, sphere, plane, union, intersect"
     ),
     "group": Translation(group, "not needed", "forces and walls apply to all particles"),
-    "lattice": Translation(lattice, "not needed", "none, sc, bcc, fcc, diamond"),
+    "lattice": Translation(lattice, "not needed", "none, sc, bcc, fcc, diamond, custom"),
 }
 FIXES: dict[str, Translation] = {}

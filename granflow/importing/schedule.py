@@ -330,6 +330,8 @@ COMPUTES = {
     **dict.fromkeys(("stress/atom", "pressure"), "output.fields has the stress"),
     **dict.fromkeys(("com", "displace/atom", "msd", "gyration"), "it follows from the particle files"),
     **dict.fromkeys(("rigid", "nparticles/tracer/region"), "the particle files have these properties"),
+    **dict.fromkeys(("rdf", "cluster/atom", "coord/atom", "fabric", "group/group", "crosssection"),
+                    "it follows from the files of particles and contacts"),
 }  # fmt: skip
 """Styles of compute whose results granflow has in another form."""
 
@@ -592,7 +594,6 @@ COMMANDS: dict[str, Translation] = {
         "restart files can be read by the code only",
         "write the particles with the code itself (write_data FILE) and start from read_data",
     ),
-    "clear": impossible("a second simulation in one script", "import a script for each"),
     "rerun": impossible("rerun", "granflow analyze"),
     "read_dump": impossible("read_dump", "read_data, or insert: {kind: file}"),
     "write_restart": not_needed("a run writes a checkpoint at its end"),
@@ -638,6 +639,9 @@ FIXES: dict[str, Translation] = {
     "ave/chunk": not_needed("output.fields has averages on a grid"),
     "ave/euler": not_needed("output.fields has averages on a grid"),
     "ave/correlate": not_needed("it follows from timeseries.csv"),
+    "remove": impossible(
+        "particles that are removed at a rate", "outlets of the scene, or delete of a stage (fraction)"
+    ),
     "setforce": impossible("forces that are set", "fixed: true for particles that do not move"),
     "addforce": impossible("a constant force", "gravity, or gf.ParticleForces of a Python program"),
     "aveforce": impossible("aveforce", "a Python program that sets forces"),

@@ -15,7 +15,7 @@ from granflow.importing.groups import chosen_points, group_named, in_range
 from granflow.importing.heat import HEAT
 from granflow.importing.insertion import group_name
 from granflow.importing.language import Command, DeckError, NotKnown, shortest
-from granflow.importing.regions import region_of
+from granflow.importing.regions import lattice_spacing, region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, number, quantities, quantity
 from granflow.importing.schedule import stage_names
@@ -129,7 +129,7 @@ def velocity(deck: Deck, command: Command, entry: Entry) -> None:
 
 def _spacing(deck: Deck, words: Words) -> float:
     """Factor of the velocities of a command: the spacing of the lattice unless `units box` follows."""
-    return 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
+    return 1.0 if words.rest_has("units", "box") else lattice_spacing(deck, words.command)
 
 
 def _set_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:

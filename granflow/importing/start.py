@@ -24,7 +24,7 @@ from granflow.importing.deck import (
 from granflow.importing.groups import fixed_points
 from granflow.importing.insertion import extent_of, scene_region
 from granflow.importing.language import Command, DeckError
-from granflow.importing.regions import BASIS, contains, region_of
+from granflow.importing.regions import Lattice, contains, lattice_spacing, region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
 
@@ -153,7 +153,7 @@ def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
         words.skip()
         entry.impossible(LATER, NEAREST_LATER)
         return
-    spacing = 1.0 if words.rest_has("units", "box") else float(deck.family.get("lattice", 1.0))
+    spacing = 1.0 if words.rest_has("units", "box") or style != "single" else lattice_spacing(deck, command)
     fill = -1
     if style == "single":
         place = words.vector("the position", "length")
@@ -168,7 +168,7 @@ def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
         fills.append(Fill(None if name == "NULL" else region_of(deck, command, name), entry))
     elif style in ("region", "box"):
         region = region_of(deck, command, words.word("the name of a region")) if style == "region" else None
-        points = lattice_points(deck, command)
+        points = lattice_points(deck, command, region)
         if region is not None:
             points = points[contains(deck, region, points)]
             region.entry.translated("particles")
@@ -191,22 +191,28 @@ def create_atoms(deck: Deck, command: Command, entry: Entry) -> None:
     _add_points(deck, *given, entry, fill)
 
 
-def lattice_points(deck: Deck, command: Command) -> np.ndarray:
-    """The points (n, 3) [m] of the lattice in the box, without those on its upper faces. Raises DeckError."""
-    places = BASIS.get(deck.family.get("lattice_style", ""), ())
-    if not places or deck.box is None:
+def lattice_points(deck: Deck, command: Command, region: Region | None) -> np.ndarray:
+    """The points (n, 3) [m] of the lattice in the box, without those on its upper faces; those far from a
+    region are left out. Raises DeckError."""
+    lattice: Lattice | None = deck.family.get("lattice_cell")
+    if lattice is None or not len(lattice.basis) or deck.box is None:
         raise DeckError(
             command, "particles on a lattice need create_box and a lattice, such as lattice sc 0.001."
         )
-    spacing = deck.si(float(deck.family["lattice"]), "length")
+    unit = deck.si(1.0, "length")
     low, high = np.array(deck.box[::2]), np.array(deck.box[1::2])
-    cells = [
-        np.arange(np.floor(a / spacing) - 1, np.ceil(b / spacing) + 1) for a, b in zip(low, high, strict=True)
-    ]
-    if np.prod([float(len(each)) for each in cells]) > MOST_CELLS:
+    around = np.array(
+        extent_of(deck, region) if region and region.inside and not region.parts else deck.box
+    ).reshape(3, 2)
+    around = np.clip(around, low[:, None], high[:, None])
+    ends = np.stack(np.meshgrid(*around, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = np.linalg.solve(unit * lattice.cell.T, (ends - unit * lattice.origin).T)
+    lowest, highest = np.floor(places.min(axis=1)) - 1, np.ceil(places.max(axis=1)) + 1
+    if np.prod(highest - lowest) > MOST_CELLS:
         raise DeckError(command, f"the lattice has more than {MOST_CELLS} cells in the box; check its scale.")
+    cells = [np.arange(a, b) for a, b in zip(lowest, highest, strict=True)]
     corners = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    points = (spacing * (corners + np.array(places))).reshape(-1, 3)
+    points = unit * (lattice.origin + ((corners + lattice.basis) @ lattice.cell).reshape(-1, 3))
     slack = 1e-6 * (high - low)
     return np.asarray(points[((points >= low - slack) & (points < high - slack)).all(axis=1)])
 

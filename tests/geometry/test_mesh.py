@@ -192,6 +192,7 @@ COUNTS = {
     "above.stl": (_stl(4, TRIANGLES), "declares 4 triangles, but its size allows 3"),
     "right.stl": (_stl(3, TRIANGLES), None),
     "text.stl": (f"{TEXT_STL}endsolid a\n".encode(), None),
+    "gap.stl": (f"{TEXT_STL}\n\nendsolid a\n\n".replace("outer", "\nouter").encode(), None),
     "open.stl": (TEXT_STL.encode(), "does not end with endsolid: it is truncated"),
     **{f"{kind}_{count}.ply": (_ply(count, kind == "binary"), None if count == 3 else reason)
        for kind in ("ascii", "binary")

@@ -646,6 +646,53 @@ def test_particles_on_a_lattice_over_a_rough_bottom(tmp_path, integrators):
     checked(tmp_path, found)
 
 
+CUSTOM = """units si
+atom_style sphere
+boundary f f f
+region box block 0 {width} 0 0.06 0 0.06
+create_box 1 box
+lattice custom 0.01 a1 2 0 0 a2 0 1 0 a3 0 0 1 basis 0 0 0 basis 0.5 0.5 0.5 {more}
+region some block 0 0.06 0 0.03 0 0.02 {units}
+create_atoms 1 region some
+set group all diameter 0.004 density 2500
+pair_style gran/hooke/history/omp 1e4 NULL 100 NULL 0.5 1
+pair_coeff * *
+timestep 1e-5
+fix g all gravity/kk 9.81 vector 0 0 -1
+fix i all nve/sphere/kk
+run 10
+"""
+
+
+@pytest.mark.parametrize("width", [0.1, 50.0])  # the wide box has more cells than are tried
+def test_particles_on_a_lattice_of_its_own(tmp_path, width):
+    """Cells of 20, 10 and 10 mm with a particle at the corner and in the middle, moved by a tenth of a cell."""
+    found, _ = imported(tmp_path, CUSTOM.format(width=width, more="origin 0.1 0.1 0.1", units="units box"))
+    assert found.report.is_complete
+    points = np.loadtxt(found.files["type1.csv"].decode().splitlines(), delimiter=",", skiprows=1)[:, :3]
+    expected = {
+        (0.002 + 0.02 * i + 0.01 * k, 0.001 + 0.01 * j + 0.005 * k, 0.001 + 0.01 * n + 0.005 * k)
+        for i in range(3) for j in range(3) for n in range(2) for k in range(2)
+    }  # fmt: skip
+    assert {tuple(row) for row in points.round(9).tolist()} == {
+        tuple(round(each, 9) for each in row) for row in expected
+    }
+
+
+def test_lengths_in_units_of_a_lattice_with_three_lengths(tmp_path):
+    with pytest.raises(DeckError, match=r"in.deck:7: the lattice has other lengths along x, y and z"):
+        imported(tmp_path, CUSTOM.format(width=0.1, more="", units=""))
+
+
+def test_lattice_without_counterpart_is_reported_and_so_is_what_follows(tmp_path):
+    text = CUSTOM.format(width=0.1, more="", units="units box").replace(
+        "lattice custom 0.01", "lattice sq 0.01"
+    )
+    found, _ = imported(tmp_path, text)
+    assert "the lattice sq" in sentences(found, "lattice sq")
+    assert "what is not possible before may be the cause" in sentences(found, "create_atoms")
+
+
 def test_gravity_on_some_of_the_moving_particles_is_not_possible(tmp_path):
     found, _ = imported(tmp_path, CHUTE.format(integrators="fix i all nve/sphere", gravity="mobile"))
     assert "on the group mobile only" in sentences(found, "fix g")

@@ -393,7 +393,7 @@ def test_every_line_has_a_remark(tmp_path):
         ),
         ("compute c all rainbow\nrun 10", "rainbow", "compute rainbow"),
         ("shell python x\nrun 10", "shell", "shell runs another program"),
-        ("run 10\nclear", "clear", "a second simulation"),
+        ("run 10\nclear\nunits si", "clear", "a second simulation"),
         (
             "fix w2 all wall/grann model hertz\nrun 10",
             "wall/grann",
@@ -882,3 +882,9 @@ def test_guide(tmp_path):
     blocks = dict(re.findall(r"^```\w+\n# (\S+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
     (tmp_path / "in.bed").write_text(f"# in.bed\n{blocks['in.bed']}")
     assert convert(tmp_path / "in.bed").text == blocks["bed.yaml"]
+
+
+@pytest.mark.parametrize("text", ["clear\n{}", "{}\nclear\n", "{}\nclear\nvariable k equal 2\nprint 'end'\n"])
+def test_clear_before_or_after_the_simulation_is_not_needed(tmp_path, text):
+    found, _ = imported(tmp_path, text.format(liggghts()))
+    assert found.report.is_complete and remarks(found, "clear")[0][0] == "not needed"

@@ -92,6 +92,20 @@ def test_variable_with_the_lines_of_a_file(tmp_path):
     assert commands(tmp_path, loop) == [["x", "0.1"], ["x", "0.2"]]
 
 
+@pytest.mark.parametrize("line", ["processors $n 1 1", "log ${file}.txt", "dump d all custom 10 a.${n} id"])
+def test_unknown_variables_of_lines_that_a_scene_does_not_need(tmp_path, line):
+    (tmp_path / "in.deck").write_text(f"variable m equal 2\n{line}\nx $m\n")
+    found = list(Interpreter(unneeded={"processors"}).commands(tmp_path / "in.deck"))
+    assert found[-1].words == ("2",)
+
+
+def test_all_missing_variables_are_named(tmp_path):
+    with pytest.raises(
+        DeckError, match=r"no variable a; give a, b and c with --set NAME=VALUE, once for each"
+    ):
+        commands(tmp_path, "variable d equal 1\nx ${a}\ny $b ${d} $(v_c+v_d)\n")
+
+
 @pytest.mark.parametrize(
     ("text", "line", "part"),
     [
