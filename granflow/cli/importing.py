@@ -27,7 +27,7 @@ def import_(options: argparse.Namespace) -> int:
 
     out = options.out or Path(options.deck.name.removeprefix("in.").removesuffix(".in") + ".yaml")
     settings = dict(_setting(each) for each in options.settings)
-    found = convert(options.deck, settings, options.code)
+    found = convert(options.deck, settings, options.code, options.after)
     is_written = bool(found.text) and (found.report.is_complete or options.partial)
     fault = ""
     if is_written:
@@ -117,6 +117,10 @@ def add_import(verbs: Any) -> None:
     parser.add_argument(
         "--set", dest="settings", metavar="VARIABLE=VALUE", action="append", default=[],
         help="value of a variable of the script, as -var of the codes; repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--after", metavar="DECK", type=Path, action="append", default=[],
+        help="script that writes the file of read_restart: both become stages of one scene; repeatable",
     )  # fmt: skip
     parser.add_argument(
         "--partial",

@@ -1,6 +1,6 @@
 """From a script to the text of a scene and a report."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from granflow.importing import (
     motion,
     multisphere,
     regions,
+    restart,
     schedule,
     settings,
     start,
@@ -24,6 +25,7 @@ from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words, plain_
 from granflow.importing.groups import MOVERS, group_named, tell_bodies, tell_excluded, tell_inserted
 from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import NOT_POSSIBLE, Entry, Report
+from granflow.importing.restart import begin_script
 from granflow.importing.scene_text import Draft
 from granflow.schema.messages import nearest
 
@@ -39,6 +41,7 @@ FAMILIES = (
     motion,
     insertion,
     start,
+    restart,
     deletion,
     multisphere,
     heat,
@@ -216,15 +219,18 @@ def convert(
     path: Path,
     given: Mapping[str, str] | None = None,
     code: str | None = None,
+    after: Sequence[Path] = (),
 ) -> Imported:
     """Translate a script. Raises DeckError for an error of the script, with its line.
 
     given:  values of variables
+    after:  scripts whose restart file the next one reads; the last one writes that of the script
     """
     settings = dict(given or {})
     if code is None:
         try:
-            code = code_of(path, Interpreter(given=settings).commands(path))
+            first = [*after, path][0]
+            code = code_of(first, Interpreter(given=settings).commands(first))
         except GranflowError:
             code = "lammps"  # the same error follows below, with its line
     report = Report()
@@ -242,8 +248,31 @@ def convert(
     unneeded = {name for name, each in commands.items() if each.is_unneeded}
     interpreter = Interpreter(given=settings, unneeded=unneeded, on_executed=executed)
     deck = Deck(code, interpreter, report)
+    for script in (*after, path):
+        if script is not (*after, path)[0]:
+            begin_script(deck)
+        _read(deck, script, commands, fixes)
+    try:
+        draft = _draft(deck, path)
+    except GranflowError:
+        if report.is_complete:
+            raise
+        draft = None  # what is missing is probably one of the lines that are not possible
+    code_name = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[code]
+    names = " and ".join(each.name for each in (*after, path))
+    kind = f"a script of {code_name}" if not after else f"scripts of {code_name}"
+    origin = f"Made by granflow import from {names}, {kind}; comments have its lines."
+    files = {} if draft is None else draft.files
+    return Imported(draft, origin, files, report, code, tuple(interpreter.printed))
+
+
+def _read(
+    deck: Deck, path: Path, commands: Mapping[str, Translation], fixes: Mapping[str, Translation]
+) -> None:
+    """Execute one script. Raises DeckError."""
+    report = deck.report
     deck.family["folder"] = path.parent
-    for command in interpreter.commands(path):
+    for command in deck.interpreter.commands(path):
         if "cleared" in deck.family:
             deck.family["cleared"].impossible(
                 "a second simulation in one script",
@@ -266,16 +295,6 @@ def convert(
             )
         deck.report_unread(entry)
         _tell_box(deck)
-    try:
-        draft = _draft(deck, path)
-    except GranflowError:
-        if report.is_complete:
-            raise
-        draft = None  # what is missing is probably one of the lines that are not possible
-    code_name = {"liggghts": "LIGGGHTS", "lammps": "LAMMPS"}[code]
-    origin = f"Made by granflow import from {path.name}, a script of {code_name}; comments have its lines."
-    files = {} if draft is None else draft.files
-    return Imported(draft, origin, files, report, code, tuple(interpreter.printed))
 
 
 def _draft(deck: Deck, path: Path) -> Draft:
@@ -298,7 +317,7 @@ def _draft(deck: Deck, path: Path) -> Draft:
             "no fix such as nve/sphere integrates the particles, so that the code does not move them; the "
             "scene does"
         )
-    draft = Draft()
+    draft = Draft(with_files=len({each.command.file for each in deck.report.entries}) > 1)
     draft.put(("title",), path.name)
     start.add_points(deck, draft)
     insertion.collect(deck)

@@ -325,11 +325,30 @@ def build(deck: Deck, draft: Draft) -> None:
 def _put_wall(
     deck: Deck, draft: Draft, name: str, keys: dict[str, Any], runs: list[Run], entries: tuple[Entry, ...]
 ) -> str:
-    """Write a wall that exists during some runs; returns its name."""
+    """Write a wall that exists during some runs; returns its name.
+
+    A wall that follows on an equal one at rest, such as that of the next script, is the same wall.
+    """
+    shape = {key: value for key, value in keys.items() if key != "motion"}
+    known: dict[str, tuple[dict[str, Any], list[Run]]] = deck.own("resting_walls", dict)
+    motion = keys.get("motion", [])
+    is_limited = all(
+        {"stages", "start"} & set(each) for each in (motion if isinstance(motion, list) else [motion])
+    )
+    for other, (equal, before) in known.items():
+        if equal == shape and is_limited and before[-1].end <= runs[0].start + runs[0].slack:
+            known[other] = (shape, [*before, *runs])
+            if motion:
+                del known[other]
+            stages = stages_of_runs(deck, [*before, *runs])
+            draft.put(("walls", other), {**keys, **({} if stages is None else {"stages": stages})}, *entries)
+            return other
     stages = stages_of_runs(deck, runs)
     if stages is not None:
         keys["stages"] = stages
     free = region_walls.wall_name(draft, name)
+    if not motion:
+        known[free] = (shape, runs)
     draft.put(("walls", free), keys, *entries)
     return free
 
@@ -429,8 +448,9 @@ def _mesh(deck: Deck, draft: Draft, fixes: list[Fix], mesh: Fix, contact: WallCo
         for run in deck.runs
         if run.steps and mesh.acts_in(run) and any(each.acts_in(run) for each in fixes)
     ]
+    before = set(draft.get("walls") or ())
     name = _put_wall(deck, draft, name, keys, runs, (mesh.entry, *(each.entry for each in fixes)))
-    if runs and runs[0].start > 0.0:
+    if runs and runs[0].start > 0.0 and name not in before:
         fixes[0].entry.approximated(
             f"{name} appears at {runs[0].start:.4g} s: where it appears within particles, a run of granflow "
             "stops, with which the script continues; move it in from outside of them, or delete its key "

@@ -204,9 +204,8 @@ class Interpreter:
     _stopped: bool = False
 
     def __post_init__(self) -> None:
-        self.variables.update({name: Variable("index", text.split()) for name, text in self.given.items()})
         self._random = random.Random(1)
-        self._is_exhausted = False
+        self.begin_script()
 
     def commands(self, path: Path, depth: int = 0, origin: "Line | None" = None) -> Iterator[Command]:
         """Commands of a file in the order of execution. Raises DeckError."""
@@ -228,6 +227,12 @@ class Interpreter:
                         lines = self._read(path, line)
                     index = 0 if self._seek is None else self._label(lines, line)
                     break
+
+    def begin_script(self) -> None:
+        """Forget the variables of the script before, as another run of the code does."""
+        self.variables = {name: Variable("index", text.split()) for name, text in self.given.items()}
+        self._stopped = self._is_exhausted = False
+        self._seek = None
 
     def _read(self, path: Path, origin: "Line | None") -> list[Line]:
         """The lines of a file. Raises DeckError, or GranflowError for the script itself."""

@@ -62,21 +62,24 @@ def plain_name(name: str, prefix: str) -> str:
     return plain if plain[:1].isalpha() else f"{prefix}_{plain}"
 
 
-def comment_of(entry: Entry) -> str:
-    """The comment with the line of the script."""
+def comment_of(entry: Entry, with_file: bool) -> str:
+    """The comment with the line of the script; `with_file`: with the name of its file."""
     command = entry.command
     text = command.text
     if len(text) > LONGEST_COMMENT:
         text = f"{text[: LONGEST_COMMENT - 4]} ..."
-    return f"line {command.line}: {text}"
+    return f"{command.where}: {text}" if with_file else f"line {command.line}: {text}"
 
 
 @dataclass
 class Draft:
     """The blocks of a scene before they are text.
 
-    files:  files that are written beside the scene, by name: bytes
+    with_files:  whether comments name the file of a line, because the script has several
+    files:       files that are written next to the scene, by name: bytes
     """
+
+    with_files: bool = False
 
     blocks: dict[str, Any] = field(default_factory=dict)
     comments: dict[tuple[str, ...], list[str]] = field(default_factory=dict)
@@ -98,7 +101,7 @@ class Draft:
 
     def remark(self, path: Sequence[str], *entries: Entry, remark: str = "") -> None:
         """Add entries and a remark to the comments of a key."""
-        found = [*map(comment_of, entries), *([remark] if remark else [])]
+        found = [*(comment_of(each, self.with_files) for each in entries), *([remark] if remark else [])]
         notes = self.comments.setdefault(tuple(path), [])
         notes.extend(each for each in found if each not in notes)
 

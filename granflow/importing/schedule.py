@@ -298,6 +298,7 @@ def restart(deck: Deck, command: Command, entry: Entry) -> None:
     words.skip()
     if steps:
         deck.family["restart"] = (steps, entry)
+        deck.own("restart_steps", list).append((steps, deck.step))
     else:
         entry.not_needed("checkpoints are written anyway")
 
@@ -590,13 +591,8 @@ COMMANDS: dict[str, Translation] = {
     "thermo_modify": Translation(thermo_modify, "domain.on_exit", "of its keywords lost has a counterpart"),
     "restart": Translation(restart, "output.checkpoint.interval"),
     "compute": Translation(compute, "not needed or output.metrics", "most results are in timeseries.csv"),
-    "read_restart": impossible(
-        "restart files can be read by the code only",
-        "write the particles with the code itself (write_data FILE) and start from read_data",
-    ),
     "rerun": impossible("rerun", "granflow analyze"),
     "read_dump": impossible("read_dump", "read_data, or insert: {kind: file}"),
-    "write_restart": not_needed("a run writes a checkpoint at its end"),
     "write_data": not_needed("a run writes the particles at its end"),
     "write_dump": not_needed("a run writes the particles at its end"),
     "undump": not_needed("frames are written to the end of the run"),
