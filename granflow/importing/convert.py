@@ -20,6 +20,7 @@ from granflow.importing import (
     schedule,
     settings,
     start,
+    waiting,
 )
 from granflow.importing.deck import UNITS, Deck, Fix, Translation, Words, plain_style
 from granflow.importing.groups import MOVERS, group_named, tell_bodies, tell_excluded, tell_inserted
@@ -248,6 +249,7 @@ def convert(
     unneeded = {name for name, each in commands.items() if each.is_unneeded}
     interpreter = Interpreter(given=settings, unneeded=unneeded, on_executed=executed)
     deck = Deck(code, interpreter, report)
+    interpreter.on_result = lambda where, condition: waiting.decide(deck, where, condition)
     for script in (*after, path):
         if script is not (*after, path)[0]:
             begin_script(deck)
@@ -328,6 +330,7 @@ def _draft(deck: Deck, path: Path) -> Draft:
     geometry.build(deck, draft)
     insertion.build(deck, draft)
     schedule.build(deck, draft)
+    waiting.build(deck, draft)
     deformation.build(deck, draft)
     heat.build(deck, draft)
     settings.build(deck, draft)

@@ -198,6 +198,8 @@ class Interpreter:
     """Names of further commands that a scene does not need."""
     on_executed: Callable[[Command, str], None] = lambda command, problem: None
     """Called with each executed command of the language, and why it has no counterpart (mostly empty)."""
+    on_result: Callable[[tuple[str, int], str], bool | None] = lambda where, condition: None
+    """Decides a condition on results that leaves a loop, by its file and line and its formula."""
     _executed: int = 0
     _seek: str | None = None
     """Label to which a jump goes."""
@@ -265,6 +267,9 @@ class Interpreter:
                 Command("if", tuple(words), line.file, line.line, " ".join(line.text.split())), ""
             )
             try:
+                decided = self._leaves_loop(line, words, path)
+                if decided is not None:
+                    words[0] = "1 == 1" if decided else "1 == 0"
                 words = [self._substitute(each) for each in words]
             except NotKnown as error:
                 raise DeckError(line, f"{error}; {self._remedy(line.file)}") from None
@@ -380,6 +385,35 @@ class Interpreter:
                     except (NotKnown, ValueError):
                         return (first == second) == (symbol == "==")
         return self.evaluate(text) != 0.0
+
+    def _leaves_loop(self, line: Line, words: list[str], path: Path) -> bool | None:
+        """Whether a condition on results of the simulation, which leaves a loop, is true.
+
+        None for other conditions, and for one that the translation cannot decide. Raises NotKnown.
+        """
+        jump = words[2].split() if len(words) == 3 and words[1] == "then" else []
+        if jump[:1] != ["jump"] or len(jump) != 3 or jump[1] not in ("SELF", path.name):
+            return None
+        try:
+            self.condition(self._substitute(words[0]))
+        except NotKnown as error:
+            labels = (each for each in self._read(path, line) if each.text.split() == ["label", jump[2]])
+            if not error.is_result or not any(each.line > line.line for each in labels):
+                return None
+            return self.on_result((path.name, line.line), self._formulas(words[0]))
+        return None
+
+    def _formulas(self, text: str) -> str:
+        """The text with variables replaced by their formulas, or by their numbers. Raises NotKnown."""
+
+        def value(found: re.Match[str]) -> str:
+            name = found[1] or found[2] or found[3]
+            variable = self.variables.get(name)
+            if variable is not None and variable.style == "equal":
+                return f"({self._formulas(variable.text)})"
+            return self.text_of(name)
+
+        return re.sub(r"\$\{(\w+)\}|\$(\w)|\bv_(\w+)", value, text)
 
     # Variables
 
