@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from granflow.load import load_scene as load_scene
     from granflow.observers.build import analyze_snapshots as analyze_snapshots
     from granflow.observers.meters import steady_flow as steady_flow
+    from granflow.observers.meters import steady_flow_error as steady_flow_error
     from granflow.observers.observer import on_interval as on_interval
     from granflow.particles.group import ParticleData as ParticleData
     from granflow.plan.build import plan_for as plan_for
@@ -240,6 +241,7 @@ _LOCATIONS = {
     "register_particle_equation": "granflow.scene.registration.register_particle_equation",
     "start": "granflow.engine.state_cache.start",
     "steady_flow": "granflow.observers.meters.steady_flow",
+    "steady_flow_error": "granflow.observers.meters.steady_flow_error",
     "sweep": "granflow.studies.sweep.sweep",
 }
 """Module and attribute of each public name."""

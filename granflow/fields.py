@@ -852,6 +852,12 @@ FLOW_METER_QUANTITIES = by_name(
             "mass flow rate: between rows in the time series, steady mean in the result",
         ),
         Quantity(
+            "mass_flow_error",
+            "",
+            "kg/s",
+            "standard error of the steady mean from the fluctuation of the flow in time, in the result",
+        ),
+        Quantity(
             "residence_time",
             "",
             "s",

@@ -374,7 +374,16 @@ def compare(options: argparse.Namespace) -> int:
     laws = law_names(options.laws)
     scene = load_runnable(options)
     out = options.out or Path("out") / f"{scene.path.stem}_compare"
-    from granflow.studies.compare.report import PAGE, as_text, compare, heads, notes_on, stage_note
+    from granflow.studies.compare.report import (
+        PAGE,
+        as_text,
+        compare,
+        differences_table,
+        heads,
+        notes_on,
+        scatter_note,
+        stage_note,
+    )
 
     def prepare(directory: Path) -> None:
         prepare_output(directory, scene, options.overwrite)
@@ -391,6 +400,7 @@ def compare(options: argparse.Namespace) -> int:
             say_progress,
             prepare,
             options.overwrite,
+            options.seeds,
         )
     except KeyboardInterrupt as stop:
         remedy = "repeat the command to continue"
@@ -400,6 +410,10 @@ def compare(options: argparse.Namespace) -> int:
     show_table(scene.title, heads(found.runs, is_short=True), as_text(found.rows))
     for note in (stage_note(found), *notes_on(found)):
         say(note)
+    if found.differences:
+        table = differences_table(found.differences)
+        show_table(f"Differences to {found.runs[0].variant.title}", table.heads, table.rows)
+    say(scatter_note(found))
     for assessment in found.assessments:
         say(f"{assessment.part} {assessment.conclusion.capitalize()}. {assessment.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
@@ -416,6 +430,14 @@ def add_compare(verbs: Any) -> None:
     add("--reference-velocity", metavar="V", type=quantity("velocity"), help=REFERENCE_VELOCITY)
     add("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
     add("--full", action="store_true", help="use all particles (default: at most 4000)")
+    add(
+        "--seeds",
+        metavar="N",
+        type=count,
+        default=1,
+        help="runs of each contact model, with the seed of the scene and those after it: differences then "
+        "have 95 %% confidence intervals (default: 1)",
+    )
     add(
         "--overwrite",
         action="store_true",

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, nan, sqrt
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -127,13 +127,14 @@ class FlowCount:
         return self._amounts() | {"mass_flow": self.mass_flow(), "residence_time": mean}
 
     def result(self) -> dict[str, float]:
-        """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`.
+        """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`,
+        and its `mass_flow_error` [kg/s] from `steady_flow_error`.
 
         `residence_time` and `residence_time_deviation` [s]: of all particles that passed forward, NaN without
         any.
         """
         mean, deviation = _mean_and_deviation(self.passed)
-        flow = {"mass_flow": steady_flow(self.history)}
+        flow = {"mass_flow": steady_flow(self.history), "mass_flow_error": steady_flow_error(self.history)}
         return self._amounts() | flow | {"residence_time": mean, "residence_time_deviation": deviation}
 
     def _amounts(self) -> dict[str, float]:
@@ -383,6 +384,56 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
     >>> gf.steady_flow([(0.0, "run", 0.0), (1.0, "run", 0.5), (2.0, "run", 1.0)])
     0.5
     """
+    window = _steady_window(history)
+    return 0.0 if window is None else float(0.5 * window.passed / (window.end - window.begin))
+
+
+BLOCKS = 10
+"""Parts of equal duration of the steady window."""
+ROWS_PER_BLOCK = 2
+"""Least number of rows of the history in each part: fewer rows do not resolve the parts."""
+
+
+def steady_flow_error(history: Sequence[tuple[float, str, float]]) -> float:
+    """Return the standard error of `steady_flow` [kg/s] from the fluctuation of the flow in time.
+
+        s / sqrt(n) sqrt((1 + r) / (1 - r))
+
+    s: standard deviation of the means over n = BLOCKS parts of equal duration of the window of `steady_flow`,
+    r: correlation of neighboring parts, if it is positive (Flyvbjerg and Petersen, J. Chem. Phys. 91 (1989)
+    461, discuss block averages). It contains what fluctuates and drifts within one discharge, not how
+    discharges of different packings scatter. `history`: as for `steady_flow`. NaN without flow, or if the
+    window has fewer than ROWS_PER_BLOCK rows for each part.
+    """
+    window = _steady_window(history)
+    if window is None or len(window.time) < BLOCKS * ROWS_PER_BLOCK:
+        return nan
+    edges = np.linspace(window.begin, window.end, BLOCKS + 1)
+    flow = np.diff(np.interp(edges, window.time, window.mass)) / np.diff(edges)
+    off = flow - flow.mean()
+    variance = float(off @ off)
+    if variance == 0.0:
+        return 0.0
+    correlation = max(float(off[1:] @ off[:-1]) / variance, 0.0)
+    return float(flow.std(ddof=1) / sqrt(BLOCKS) * sqrt((1.0 + correlation) / (1.0 - correlation)))
+
+
+class _SteadyWindow(NamedTuple):
+    """The middle half of the mass in the last stage with flow, from `begin` to `end` [s].
+
+    `passed`: mass of the stage [kg]. `time` [s] and `mass` [kg]: samples (rows,) in the window, the first and
+    the last interpolated at its ends.
+    """
+
+    passed: float
+    begin: float
+    end: float
+    time: np.ndarray
+    mass: np.ndarray
+
+
+def _steady_window(history: Sequence[tuple[float, str, float]]) -> _SteadyWindow | None:
+    """The window of `steady_flow`; None without flow. Raises GranflowError for an invalid history."""
     rows = items_of("history", history, "(time [s], stage, mass [kg])")
     for row in rows:
         if not (
@@ -399,8 +450,16 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
             share = (masses[first : last + 1] - masses[first]) / passed
             begin = _first_reached(times[first : last + 1], share, 0.25)
             end = _first_reached(times[first : last + 1], share, 0.75)
-            return float(0.5 * passed / (end - begin))
-    return 0.0
+            is_inside = (times > begin) & (times < end)
+            ends = masses[first] + passed * np.array([0.25, 0.75])
+            return _SteadyWindow(
+                passed,
+                begin,
+                end,
+                np.concatenate([[begin], times[is_inside], [end]]),
+                np.concatenate([ends[:1], masses[is_inside], ends[1:]]),
+            )
+    return None
 
 
 def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]]:

@@ -63,8 +63,8 @@ class Result:
     `run`: simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second, ...
     `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, exchange (only
     on MPI ranks), output, compile.
-    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the
-    meter. `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric.
+    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count, mass_flow, mass_flow_error by
+    name of the meter. `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: by name of the metric.
     `stages`: kinetic_energy_mean, kinetic_energy_largest, ... of the rows of a stage, by its name.
     `residence_time`: residence_mean, tanks_in_series, ... by name of the flow meter at the end.
     `insertion`: inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
@@ -395,6 +395,7 @@ def _unit_text(name: str, number: float) -> str:
 
 
 _WORDS = {
+    "mass_flow_error": "mass flow, standard error in time",
     "residence_time": "residence time, mean by number",
     "residence_time_deviation": "residence time, deviation by number",
     "residence_mean": "residence time, mean by mass",

@@ -905,6 +905,8 @@ def wall_forces(parts: PartialScene) -> Iterator[Fault]:
 RESULT_ONLY = {
     *RUN_QUANTITIES,
     "timings",
+    "mass_flow_error",
+    "residence_time_deviation",
     "wall_force",
     "wall_torque",
     *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),

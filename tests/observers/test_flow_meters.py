@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from observers.snapshots import snapshot_of
 
-from granflow.observers.meters import FlowCounter, steady_flow
+from granflow.observers.meters import FlowCounter, steady_flow, steady_flow_error
 from granflow.scene.blocks.output import FlowMeter
 
 
@@ -143,3 +143,43 @@ def test_residence_time_ends_where_the_straight_path_reaches_the_plane():
     result = meter.total.result()
     assert result["residence_time"] == pytest.approx(times.mean(), rel=1e-15)
     assert result["residence_time_deviation"] == pytest.approx(times.std(), rel=1e-12)
+
+
+def flowing(increments, dt=0.01):
+    """History of a stage with the given masses [kg] between rows."""
+    mass = np.concatenate([[0.0], np.cumsum(increments)])
+    return [(dt * k, "run", float(m)) for k, m in enumerate(mass)]
+
+
+def test_steady_flow_error_is_the_scatter_of_runs_with_independent_increments():
+    """Mass increments N(mu, s) in each row: the mean of the n rows in the window scatters by s / sqrt(n). The
+    correction for correlation can only enlarge the estimate, by less than 1.5 times for independent parts."""
+    rng = np.random.default_rng(7)
+    mu, s, dt, rows = 1e-3, 3e-4, 0.01, 400
+    errors = [steady_flow_error(flowing(rng.normal(mu, s, rows), dt)) for _ in range(400)]
+    expected = s / dt / np.sqrt(rows / 2)
+    assert expected <= np.sqrt(np.mean(np.square(errors))) <= 1.5 * expected
+
+
+def test_steady_flow_error_of_slow_fluctuations_is_larger_than_without_correlation():
+    """Increments that follow a slow wave: neighboring parts resemble each other, so that ten parts are fewer
+    than ten independent ones."""
+    rows = np.arange(400)
+    wave = 1e-3 + 3e-4 * np.sin(2.0 * np.pi * (rows - 100) / 200.0)
+    history = flowing(wave)
+    mass = np.array([m for _, _, m in history])
+    begin, end = np.interp([0.25 * mass[-1], 0.75 * mass[-1]], mass, 0.01 * np.arange(401))
+    parts = np.diff(np.interp(np.linspace(begin, end, 11), 0.01 * np.arange(401), mass)) / (
+        (end - begin) / 10
+    )
+    assert steady_flow_error(history) > 1.3 * parts.std(ddof=1) / np.sqrt(10)
+
+
+@pytest.mark.parametrize("rows", [20, 36])
+def test_steady_flow_error_is_nan_for_fewer_than_two_rows_per_part(rows):
+    assert np.isnan(steady_flow_error(flowing(np.full(rows, 1e-3))))
+    assert np.isnan(steady_flow_error(flowing(np.zeros(100))))
+
+
+def test_steady_flow_error_of_a_constant_flow_is_zero():
+    assert steady_flow_error(flowing(np.full(200, 1e-3))) == pytest.approx(0.0, abs=1e-12)

@@ -55,7 +55,7 @@ GROUPS: Mapping[str, Sequence[str]] = {
         "ParticleData",
         "start",
     ),
-    "Results": ("read_run", "Run", "Result", "analyze_snapshots", "steady_flow"),
+    "Results": ("read_run", "Run", "Result", "analyze_snapshots", "steady_flow", "steady_flow_error"),
     "Studies": ("sweep", "calibrate"),
     "Plans": ("plan_for", "Plan", "explain", "estimate_memory"),
     "Errors": ("GranflowError", "SceneError", "RunError", "OutputError", "FunctionError"),

@@ -29,6 +29,7 @@ from granflow.studies.compare.collisions import (
     sweep_columns,
     sweeps_of,
 )
+from granflow.studies.compare.differences import Difference, Estimate, difference_of
 from granflow.studies.compare.runs import (
     BURSTS,
     SAMPLES,
@@ -39,10 +40,19 @@ from granflow.studies.compare.runs import (
     hertz_duration,
     reduced_counts,
     reference_velocity_of,
+    repetitions_of,
     run_all,
     variants_of,
 )
-from granflow.studies.figures import COLORS, MARKERS, Drawing, PageTable, stacked, stacked_panels
+from granflow.studies.figures import (
+    COLORS,
+    MARKERS,
+    Drawing,
+    PageTable,
+    attribute_columns,
+    stacked,
+    stacked_panels,
+)
 from granflow.studies.page import write_page, write_study
 from granflow.visible_text import readable
 
@@ -59,7 +69,8 @@ class SceneComparison:
     """Settings and results of a comparison.
 
     `reference_velocity` [m/s]; `reduced`: particle counts of the groups that were reduced; `until` [s]: end
-    of each run; `refused`: reason by title of the variant; `collisions`: columns of collisions.csv.
+    of each run; `refused`: reason by title of the variant; `collisions`: columns of collisions.csv; `seeds`:
+    number of runs of each contact model.
     """
 
     scene: Scene
@@ -71,6 +82,7 @@ class SceneComparison:
     subject: CollisionSubject | None
     sweeps: list[LawSweep]
     collisions: dict[str, np.ndarray]
+    seeds: int = 1
 
     @property
     def assessments(self) -> list[Assessment]:
@@ -81,6 +93,12 @@ class SceneComparison:
     def rows(self) -> "list[SummaryRow]":
         """Rows of the summary table."""
         return summary(self.runs)
+
+    @property
+    def differences(self) -> list[Difference]:
+        """Differences with intervals from all seeds; with one seed, those of mass flow rates from their
+        fluctuation."""
+        return differences_between_seeds(self.runs) if self.seeds > 1 else differences_in_time(self.runs)
 
 
 def compare(
@@ -94,6 +112,7 @@ def compare(
     report: Callable[[str], None] = lambda text: None,
     prepare: Callable[[Path], None] = lambda directory: None,
     repeat: bool = False,
+    seeds: int = 1,
 ) -> SceneComparison:
     """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
 
@@ -101,16 +120,18 @@ def compare(
     spring, by default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless
     `all_particles`, scenes with more than MOST_PARTICLES particles are reduced. `report` receives progress
     messages. Runs of an earlier call with the same arguments in `out` are kept, unless `repeat`; `prepare`:
-    called with the directory of each other run.
+    called with the directory of each other run. `seeds`: number of runs of each contact model, with the seed
+    of the scene and those after it.
 
     Raises GranflowError if no contact model can run the scene.
     """
     velocity = reference_velocity or reference_velocity_of(scene)
     most = None if all_particles else MOST_PARTICLES
     variants = variants_of(scene, laws, velocity, most)
+    planned = [*variants, *repetitions_of(variants, seeds)]
     out.mkdir(parents=True, exist_ok=True)
     runs, refused = run_all(
-        variants, [out / each.key for each in variants], arch, velocity, until, report, prepare, repeat
+        planned, [out / each.key for each in planned], arch, velocity, until, report, prepare, repeat
     )
     subject = subject_of(scene, velocity)
     sweeps: list[LawSweep] = []
@@ -119,7 +140,7 @@ def compare(
         sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], arch)
     columns = sweep_columns(subject, sweeps) if subject is not None else {}
     found = SceneComparison(
-        scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns
+        scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns, seeds
     )
     write_all(found, out, report)
     return found
@@ -142,6 +163,8 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
         has_forces=has_forces(runs),
         least_contacts=MIN_CONTACTS,
         summary=PageTable(heads(runs), as_text(found.rows)),
+        differences=differences_table(found.differences),
+        scatter_note=scatter_note(found),
         surface_percentile=SURFACE_PERCENTILE,
         bursts=BURSTS,
         samples=SAMPLES,
@@ -157,10 +180,11 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
 
 
 def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
-    """Columns of compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv.
+    """Columns of compare.csv, seeds.csv, differences.csv, heights.csv, forces.csv, durations.csv and
+    collisions.csv.
 
     All in SI units; forces are relative to the mean of their frame. collisions.csv only if collisions were
-    simulated.
+    simulated, differences.csv only with intervals, seeds.csv only with several seeds.
     """
     keyed = [(run.variant.key, run) for run in found.runs]
     forces = ("force_over_mean_from", "force_over_mean_to", "density", "contact_count")
@@ -184,6 +208,13 @@ def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
             [(key, *run.duration_survival) for key, run in keyed],
         ),
     }
+    if found.seeds > 1:
+        tables["seeds.csv"] = seed_columns(found.runs)
+    if found.differences:
+        tables["differences.csv"] = attribute_columns(
+            found.differences,
+            ("quantity", "unit", "title", "first", "reference", "value", "low", "high", "verdict"),
+        )
     return tables | ({"collisions.csv": found.collisions} if found.collisions else {})
 
 
@@ -211,7 +242,8 @@ def stop_notes(found: SceneComparison) -> list[str]:
     """Sentences on aborted runs and on contact models that cannot run the scene."""
     text = [
         f"{run.variant.title} was aborted at {run.time:.6g} s: {run.stopped.removeprefix('Stopped: ')}"
-        for run in found.runs
+        for first in found.runs
+        for run in (first, *first.repetitions)
         if run.stopped
     ]
     return text + [f"{title} cannot run this scene: {why}" for title, why in found.refused.items()]
@@ -227,6 +259,8 @@ def stage_note(found: SceneComparison) -> str:
 
 # ---------------------------------------------------------------- summary table
 
+BLOCKS = 10
+"""Number of averages in time of which `granflow.steady_flow_error` takes the standard error."""
 STRONG = 2.0
 """Multiple of the mean force above which a contact counts as strong."""
 MISSING = "–"
@@ -253,9 +287,9 @@ Quantity = tuple[str, Unit, Callable[[VariantRun], float]]
 class SummaryRow:
     """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
 
-    The first run is the reference of the ratios. `is_complete`: whether the value refers to a complete run,
-    or does not depend on the run; ratios of other values are nan. `at_stage`: whether the value refers to the
-    densest stage.
+    With several seeds, values are means. The first run is the reference of the ratios. `is_complete`: whether
+    the value refers to a complete run, or does not depend on the run; ratios of other values are nan.
+    `at_stage`: whether the value refers to the densest stage.
     """
 
     name: str
@@ -306,11 +340,11 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
     """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all
     zero."""
 
-    is_complete = tuple(not run.stopped for run in runs)
+    is_complete = tuple(any(not each.stopped for each in run.of_all_seeds) for run in runs)
 
     def rows(quantities: Iterable[Quantity], at_stage: bool = False) -> list[SummaryRow]:
         return [
-            SummaryRow(name, unit, tuple(float(number(run)) for run in runs), is_complete, at_stage)
+            SummaryRow(name, unit, tuple(run.mean(number) for run in runs), is_complete, at_stage)
             for name, unit, number in quantities
         ]
 
@@ -327,6 +361,16 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
         *rows([ENERGY_ERROR]),
     ]
     return [row for row in found if np.isfinite(row.values).any()]
+
+
+def physical_quantities(runs: Sequence[VariantRun]) -> list[Quantity]:
+    """Quantities of the summary that describe the material, neither cost nor numerics."""
+    return [
+        *map(_flow, runs[0].meters),
+        *_bed(densest_stage(runs)),
+        *CONTACTS,
+        *ENERGY_QUANTITIES,
+    ]
 
 
 def _flow(meter: str) -> Quantity:
@@ -388,6 +432,131 @@ def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> d
         "value": np.array([value for row in rows for value in row.values]),
         "ratio": np.array([ratio for row in rows for ratio in row.ratios]),
     }
+
+
+# ---------------------------------------------------------------- scatter and differences
+
+
+def seed_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
+    """Columns of seeds.csv: one row per quantity, contact model and seed of a complete run, in SI units."""
+    return stacked(
+        ("quantity", "unit", "law", "seed", "value"),
+        [
+            (name, unit.si, run.variant.key, [_seed(each)], [float(number(each))])
+            for name, unit, number in physical_quantities(runs)
+            for run in runs
+            for each in run.of_all_seeds
+        ],
+    )
+
+
+def _seed(run: VariantRun) -> int:
+    assert run.variant.scene is not None
+    return run.variant.scene.seed
+
+
+def differences_between_seeds(runs: Sequence[VariantRun]) -> list[Difference]:
+    """Differences of the complete runs to those of the first contact model, with the scatter between seeds.
+
+    Without quantities that are zero in all runs, and without contact models that have fewer than two complete
+    runs.
+    """
+    return _differences(
+        runs,
+        [
+            (name, unit, lambda run, number=number: Estimate.of(_samples(run, number)))
+            for name, unit, number in physical_quantities(runs)
+        ],
+    )
+
+
+def _samples(run: VariantRun, number: Callable[[VariantRun], float]) -> list[float]:
+    """Finite values of a number in the complete runs of all seeds."""
+    complete = [each for each in run.of_all_seeds if not each.stopped]
+    return [value for each in complete if np.isfinite(value := float(number(each)))]
+
+
+def differences_in_time(runs: Sequence[VariantRun]) -> list[Difference]:
+    """Differences of the mass flow rates of single runs, with their fluctuation in time."""
+    return _differences(
+        [run for run in runs if not run.stopped],
+        [
+            (
+                _flow(meter)[0],
+                MASS_FLOW,
+                lambda run, meter=meter: Estimate(run.mass_flow(meter), run.mass_flow_error(meter), BLOCKS),
+            )
+            for meter in runs[0].meters
+        ],
+    )
+
+
+def _differences(
+    runs: Sequence[VariantRun], quantities: Iterable[tuple[str, Unit, Callable[[VariantRun], Estimate]]]
+) -> list[Difference]:
+    """Differences of estimates to those of the first run, where both errors are known and not all are 0."""
+    found = []
+    for name, unit, estimate in quantities:
+        estimates = [estimate(run) for run in runs]
+        if not any(each.mean for each in estimates):
+            continue
+        for run, each in zip(runs[1:], estimates[1:], strict=True):
+            titles = (runs[0].variant.title, run.variant.title)
+            found.append(difference_of(name, unit.si, titles, estimates[0], each))
+    return [each for each in found if each is not None]
+
+
+def differences_table(differences: Sequence[Difference]) -> PageTable:
+    """Differences with their intervals, also relative to the mean of the first contact model."""
+    first = differences[0].first if differences else ""
+    rows = []
+    for each in differences:
+        value, *bounds = each.relative
+        rows.append(
+            [
+                each.quantity,
+                each.title,
+                f"{readable(each.value)} {each.unit}".strip(),
+                f"{readable(each.low)} to {readable(each.high)}",
+                f"{100.0 * value:+.2g}" if np.isfinite(value) else MISSING,
+                " to ".join(f"{100.0 * bound:+.2g}" for bound in bounds) if np.isfinite(value) else MISSING,
+                each.verdict,
+            ]
+        )
+    heads = ("", "model", f"minus\n{first}", "95 %\ninterval", "%", "95 %\ninterval, %", f"than\n{first}")
+    return PageTable(heads, rows)
+
+
+def scatter_note(found: SceneComparison) -> str:
+    """What the intervals of the differences contain, and how to get those that are missing."""
+    if found.seeds == 1:
+        text = (
+            "Each contact model has run with one seed: the scatter between random packings is unknown, and "
+            "small differences can be chance. --seeds 5 repeats each run with four other seeds and keeps "
+            "those that have ended."
+        )
+        if found.differences:
+            text += (
+                " The intervals of the mass flow rates contain the fluctuation of the flow in time within "
+                "each run, not the scatter between packings."
+            )
+        return text
+    if has_no_scatter(found.runs):
+        return (
+            "The seed changes no result of this scene: there is no scatter, and differences between contact "
+            "models are exact."
+        )
+    count = len(found.differences)
+    return (
+        f"The intervals are those of Welch from the scatter between {found.seeds} seeds. About one in 20 "
+        f"of these {count} intervals excludes 0 by chance."
+    )
+
+
+def has_no_scatter(runs: Sequence[VariantRun]) -> bool:
+    """Whether all seeds give the same numbers with every contact model."""
+    samples = [_samples(run, number) for _, _, number in physical_quantities(runs) for run in runs]
+    return all(len(set(values)) <= 1 for values in samples) and any(len(values) > 1 for values in samples)
 
 
 def _number(value: float) -> str:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from granflow import (
     plan_for,
     read_run,
     steady_flow,
+    steady_flow_error,
 )
 from granflow.contact import theory
 from granflow.contact.registry import models
@@ -60,7 +61,8 @@ TYPICAL_SHARE = 0.1
 class LawVariant:
     """The scene with one contact model; `key` names its directory, `normal` is its `contact.normal`.
 
-    If the contact model cannot run the scene, `scene` is None and `refused` gives the reason.
+    If the contact model cannot run the scene, `scene` is None and `refused` gives the reason. `repeats`: key
+    of the variant of which this one is a repetition with another seed; empty for the seed of the scene.
     """
 
     key: str
@@ -68,6 +70,7 @@ class LawVariant:
     normal: Mapping[str, Any]
     scene: Scene | None
     refused: str = ""
+    repeats: str = ""
 
 
 def law_names(given: str) -> tuple[str, ...]:
@@ -116,6 +119,27 @@ def variants_of(
             found.append(LawVariant(key, title, normal, Scene.from_dict(described, scene.folder)))
         except SceneError as error:
             found.append(LawVariant(key, title, normal, None, "; ".join(error.problems)))
+    return found
+
+
+def repetitions_of(variants: Sequence[LawVariant], seeds: int) -> list[LawVariant]:
+    """The variants that can run, with each of the `seeds` - 1 seeds after that of the scene; seed by seed."""
+    found = []
+    for offset in range(1, seeds):
+        for variant in variants:
+            if variant.scene is None:
+                continue
+            seed = variant.scene.seed + offset
+            described = variant.scene.model_dump(by_alias=True, exclude_none=True) | {"seed": seed}
+            found.append(
+                LawVariant(
+                    f"{variant.key}_seed_{seed}",
+                    f"{variant.title}, seed {seed}",
+                    variant.normal,
+                    Scene.from_dict(described, variant.scene.folder),
+                    repeats=variant.key,
+                )
+            )
     return found
 
 
@@ -223,6 +247,18 @@ class VariantRun:
     """Upper end of the color scale [m/s]."""
     forces: ForceHistogram
     followed: FollowedContacts
+    repetitions: "tuple[VariantRun, ...]" = ()
+    """Runs of the same contact model with other seeds."""
+
+    @property
+    def of_all_seeds(self) -> "tuple[VariantRun, ...]":
+        """This run and its repetitions that are complete; only this run if none is."""
+        return tuple(run for run in (self, *self.repetitions) if not run.stopped) or (self,)
+
+    def mean(self, number: "Callable[[VariantRun], float]") -> float:
+        """Mean of a number over all seeds whose runs have it; nan without."""
+        values = [value for run in self.of_all_seeds if np.isfinite(value := number(run))]
+        return float(np.mean(values)) if values else float("nan")
 
     @property
     def meters(self) -> list[str]:
@@ -232,10 +268,16 @@ class VariantRun:
     def mass_flow(self, meter: str) -> float:
         """Steady mass flow rate [kg/s] through a meter, as reported by `granflow run`
         (`flow_meters.steady_flow`)."""
-        time = self.columns["time"].tolist()
-        stage = self.columns["stage"].tolist()
-        mass = self.columns[f"flow_mass.{meter}"].tolist()
-        return steady_flow(list(zip(time, stage, mass, strict=True)))
+        return steady_flow(self._passed_mass(meter))
+
+    def mass_flow_error(self, meter: str) -> float:
+        """Standard error [kg/s] of `mass_flow` from the fluctuation of the flow in time."""
+        return steady_flow_error(self._passed_mass(meter))
+
+    def _passed_mass(self, meter: str) -> list[tuple[float, str, float]]:
+        """Time [s], stage, and mass [kg] that has passed a meter, in each row."""
+        names = ("time", "stage", f"flow_mass.{meter}")
+        return list(zip(*(self.columns[name].tolist() for name in names), strict=True))
 
     @cached_property
     def duration_survival(self) -> tuple[np.ndarray, np.ndarray]:
@@ -332,7 +374,8 @@ def run_all(
 
     `prepare`: called before the first run with each directory that does not contain the run of its variant,
     which may be a stopped one; it raises an error for other results. `repeat`: no run is kept.
-    Returns the runs, and the reasons of rejected variants by title. Raises GranflowError if no variant can
+    Returns the runs with the seed of the scene, each with its repetitions, and the reasons of rejected
+    variants by title. Raises GranflowError if no variant can
     run.
     """
     ran = []
@@ -362,7 +405,14 @@ def run_all(
         raise GranflowError(
             "No contact model can run this scene: " + " ".join(f"{n}: {why}" for n, why in refused.items())
         )
-    return ran, refused
+    repetitions = [run for run in ran if run.variant.repeats]
+    return [
+        replace(
+            run, repetitions=tuple(each for each in repetitions if each.variant.repeats == run.variant.key)
+        )
+        for run in ran
+        if not run.variant.repeats
+    ], refused
 
 
 # ---------------------------------------------------------------- records of runs that have ended
