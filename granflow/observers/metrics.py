@@ -80,7 +80,6 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
         materials=tuple(plan.scene.materials),
         densities=tuple(each.density for each in plan.scene.materials.values()),
         walls=tuple(wall.name for wall in plan.walls),
-        largest_radius=plan.radius_max,
     )
     return {
         name: MetricMeter(partial(_reading, name, metric, scene), metric.wants)

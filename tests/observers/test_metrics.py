@@ -14,6 +14,7 @@ from granflow.scene.blocks.metrics import (
     Reading,
     anisotropy,
     center_of_mass,
+    column_edge,
     coordination,
     deviatoric_stress,
     dropped_share,
@@ -477,3 +478,119 @@ def test_coordination_counts_the_contacts_of_a_clump_as_those_of_one_particle():
     left = CoordinationMetric(region=region).measure(snapshot_of(particles=particles), None)
     assert left.numbers["coordination_number"] == 1.5
     assert left.numbers["rattler_share"] == 0.5
+
+
+def rough_bed(radius=1e-3, side=0.042, height=0.02, seed=3):
+    """Rough bed: centers (n, 3) [m] of spheres on a square lattice of spacing 2 r in x and y. The level of each
+    pile is shifted at random by up to r, so that the mean top of a pile is `height`."""
+    random = np.random.default_rng(seed)
+    cells = round(side / (2.0 * radius))
+    x, y, k = np.meshgrid(np.arange(cells), np.arange(cells), np.arange(round(height / radius / 2)))
+    shift = random.uniform(-radius, radius, (cells, cells))[:, :, None]
+    z = height - radius - 2.0 * radius * k + shift
+    spheres = np.stack([radius + 2.0 * radius * x, radius + 2.0 * radius * y, z], axis=-1).reshape(-1, 3)
+    return spheres[spheres[:, 2] > 0.0]
+
+
+def height_of(points, radius):
+    """Readings of the metric height for resting spheres."""
+    meter = metric_meters(plan_for(scene_with(level={"kind": "height", "base": 0.0})))["level"]
+    count = len(points)
+    particles = particles_of(
+        count, position=points[:, [0, 2, 1]], radius=radius, fixed=np.zeros(count), mass=radius**3,
+        material=np.zeros(count, int), coordination_number=np.full(count, 3, np.int32)
+    )  # fmt: skip
+    meter.update(snapshot_of(particles=particles))
+    return meter.readings()
+
+
+def with_ball(points, radius, ball, level):
+    """The bed with one ball at the middle, whose center is at `level`; spheres with centers inside it are left out."""
+    center = np.array([0.021, 0.021, level])
+    kept = points[np.linalg.norm(points - center, axis=1) > ball]
+    return np.vstack([kept, center]), np.append(np.full(len(kept), radius), ball)
+
+
+@pytest.mark.parametrize("depth", [0.5, 1.0])
+def test_one_large_ball_raises_the_height_of_a_bed_by_its_column_only(depth):
+    """A ball of five times the diameter, half or just buried. Its column of 100 has its top, and the columns
+    below it have none: the mean changes by (top - height) / columns, within the scatter of the columns that it
+    replaces (uniform levels: 2 r / sqrt(12) each, n of them missing)."""
+    radius, ball = 1e-3, 5e-3
+    points = rough_bed(radius)
+    without = height_of(points, np.full(len(points), radius))["bed_height"]
+    level = 0.02 + ball * (1.0 - 2.0 * depth)
+    found = height_of(*with_ball(points, radius, ball, level))
+    columns = 10**2  # 40 mm between the outer centers
+    covered = np.pi * ball**2 / (4.0 * radius) ** 2
+    expected = without + (level + ball - without) / columns
+    assert found["bed_height"] == pytest.approx(expected, abs=3.0 * radius * np.sqrt(covered) / columns)
+    if depth == 0.5:
+        assert found["heap_height"] == level + ball
+
+
+def test_height_of_equal_spheres_is_that_of_columns_of_two_diameters():
+    """The mean over blocks of two by two piles of the highest top, computed from the piles themselves."""
+    radius = 1e-3
+    points = rough_bed(radius)
+    found = height_of(points, np.full(len(points), radius))
+    piles = np.round((points[:, :2] / radius - 1.0) / 2.0).astype(int)
+    tops = np.full((21, 21), -np.inf)
+    np.maximum.at(tops, (piles[:, 0], piles[:, 1]), points[:, 2] + radius)
+    columns = 10  # 40 mm between the outer centers
+    column = np.minimum(np.arange(21) // 2, 9)
+    highest = np.full((columns, columns), -np.inf)
+    np.maximum.at(highest, (column[:, None], column[None, :]), tops)
+    assert found["bed_height"] == pytest.approx(highest.mean(), rel=1e-12)
+
+
+def test_width_of_columns_is_two_sauter_diameters():
+    """Equal volumes of diameters 1 and 3: d32 is the harmonic mean 1.5; one ball of ten diameters among 10 000
+    spheres widens the columns by (1 + 0.1) / (1 + 0.01)."""
+    assert column_edge(np.full(7, 0.3)) == 2.0 * 0.6
+    assert column_edge(np.array([0.5] * 27 + [1.5])) == pytest.approx(2.0 * 1.5)
+    assert column_edge(np.append(np.full(10_000, 0.5), 5.0)) == pytest.approx(2.0 * 1.1 / 1.01)
+
+
+def mixture_remark(kind, radius, position, **component):
+    """Readings and remark of a metric of mixtures in the unit cube, cells of a half."""
+    keys = {"cell": 0.5, "region": {"min": [0.0] * 3, "max": [1.0] * 3}} | component
+    meter = metric_meters(plan_for(scene_with(mix={"kind": kind, **keys})))["mix"]
+    count = len(radius)
+    particles = particles_of(
+        count, position=position, radius=radius, fixed=np.zeros(count), mass=radius**3,
+        material=np.zeros(count, int), group=np.zeros(count, int)
+    )  # fmt: skip
+    meter.update(snapshot_of(particles=particles))
+    return meter.readings(), meter.remark
+
+
+@pytest.mark.parametrize("kind", ["lacey", "segregation"])
+def test_mixtures_without_meaning_give_the_reason(kind):
+    """One component, one cell, no particles, and components by size that hardly differ in size."""
+    points = random_points(400)
+    two = np.where(np.arange(400) < 200, 0.01, 0.03)
+    readings, remark = mixture_remark(kind, np.full(400, 0.01), points, smaller_than=0.03)
+    assert np.isnan(next(iter(readings.values())))
+    assert "all 400 particles in the grid belong to the first component" in remark
+    readings, remark = mixture_remark(kind, two, 0.4 * points, smaller_than=0.04)
+    assert np.isnan(next(iter(readings.values()))) and "all particles are in one cell" in remark
+    readings, remark = mixture_remark(kind, two, 2.0 + points, smaller_than=0.04)
+    assert np.isnan(next(iter(readings.values()))) and "no particles in the grid" in remark
+    similar = np.where(np.arange(400) < 200, 0.01, 0.0105)
+    readings, remark = mixture_remark(kind, similar, points, smaller_than=0.0205)
+    assert np.isfinite(next(iter(readings.values()))) and "differ by 0.05 of the smaller one" in remark
+    readings, remark = mixture_remark(kind, two, points, smaller_than=0.04)
+    assert np.isfinite(next(iter(readings.values()))) and not remark
+
+
+def test_segregation_in_cells_with_few_particles_gives_the_reason():
+    """Eight particles in eight cells: c = 1/9 with the volumes 1 and 8, so that I_R is K (8/9 + 8/9) / 36 for K
+    cells with particles."""
+    points = random_points(8)
+    radius = np.where(np.arange(8) < 4, 0.01, 0.02)
+    readings, remark = mixture_remark("segregation", radius, points, smaller_than=0.03)
+    assert readings["segregation_intensity_random"] > 0.2
+    occupied = len(np.unique((2.0 * points).astype(int), axis=0))
+    assert readings["segregation_intensity_random"] == pytest.approx(occupied * 16.0 / 9.0 / 36.0)
+    assert "the cells contain few of them" in remark and "increase cell" in remark

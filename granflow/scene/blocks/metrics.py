@@ -99,7 +99,6 @@ class MeasuredScene:
 
     groups, materials, walls:  names; the index of a name is that in the arrays of a snapshot
     densities:                 of the materials [kg/m3]
-    largest_radius:            of all particles [m]
     """
 
     domain: Domain
@@ -108,7 +107,6 @@ class MeasuredScene:
     materials: tuple[str, ...]
     densities: tuple[float, ...]
     walls: tuple[str, ...]
-    largest_radius: float
 
 
 @dataclass(frozen=True)
@@ -208,6 +206,35 @@ class TwoComponentGrid(GridSpec, Metric):
         materials = [scene.materials.index(name) for name in self.materials or ()]
         return np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
 
+    def reason_without(self, position: np.ndarray, is_first: np.ndarray, grid: CoarseGrid) -> str:
+        """Why particles at `position` (n, 3) [m] form no mixture of two components in cells; may be empty."""
+        cell, inside = grid.cells_of(position)
+        if not inside.any():
+            return "there are no particles in the grid"
+        count = int(is_first[inside].sum())
+        if count in (0, inside.sum()):
+            which = "second" if count == 0 else "first"
+            return f"all {inside.sum()} particles in the grid belong to the {which} component"
+        if len(np.unique(cell[inside])) == 1:
+            return "all particles are in one cell; decrease cell"
+        return ""
+
+    def size_remark(self, radius: np.ndarray, is_first: np.ndarray) -> str:
+        """That components by size hardly differ in size, for radii (n,) [m]; otherwise empty."""
+        if self.smaller_than is None or is_first.all() or not is_first.any():
+            return ""
+        ratio = float(radius[~is_first].mean() / radius[is_first].mean())
+        if ratio >= SIZE_RATIO:
+            return ""
+        return (
+            f"the mean diameters of both components differ by {ratio - 1.0:.2g} of the smaller one: "
+            "particles of such similar sizes hardly segregate by size, and the number is that of tracers"
+        )
+
+
+SIZE_RATIO = 1.1
+"""Ratio of the mean diameters below which a remark says that two components by size hardly differ."""
+
 
 # Mixing of two kinds of particles, by number: Lacey's index
 
@@ -226,8 +253,8 @@ def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, a
 
     p_k is the share by number of the first kind among the n_k particles of cell k, p the share in all cells,
     n the mean of n_k; cells with fewer than `at_least` particles are excluded. 0: each cell contains one kind
-    only; 1: randomly mixed, except for statistical scatter; above 1: more uniform than random. NaN without
-    such cells or with one kind. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
+    only; 1: randomly mixed, except for statistical scatter; above 1: more uniform than random. NaN with fewer
+    than two cells or with one kind. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
     """
     cell, inside = grid.cells_of(position)
     number = np.bincount(cell[inside], minlength=grid.cell_count)
@@ -239,7 +266,7 @@ def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, a
     share = kind.sum() / total if total else np.nan
     segregated = share * (1.0 - share)
     mixed = segregated * len(number) / total if total else np.nan
-    if not segregated > mixed:
+    if len(number) < 2 or not segregated > mixed:
         return float("nan")
     found = (number * (kind / number - share) ** 2).sum() / total
     return float((segregated - found) / (segregated - mixed))
@@ -278,16 +305,30 @@ class LaceyMetric(TwoComponentGrid):
         particles = mobile_particles(snapshot.particles)
         is_first = self.is_first(particles, scene)
         arguments = particles["position"], is_first, self.grid_in(scene.domain), self.at_least
+        index = lacey_index(*arguments)
         dropped = dropped_share(*arguments)
-        remark = (
-            f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their cells "
-            f"contain fewer than {self.at_least} particles (at_least): increase cell, or use kind: "
-            "segregation, which weights particles by volume and excludes no cell"
-        )
-        return Reading({"lacey_index": lacey_index(*arguments)}, remark if dropped > DROPPED_SHARE else "")
+        if reason := self.reason_without(arguments[0], is_first, arguments[2]):
+            remark = f"the Lacey index is NaN: {reason}"
+        elif dropped > DROPPED_SHARE:
+            remark = (
+                f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their "
+                f"cells contain fewer than {self.at_least} particles (at_least): increase cell, or use kind: "
+                "segregation, which weights particles by volume and excludes no cell"
+            )
+        elif np.isnan(index):
+            few = f"fewer than two cells contain {self.at_least} particles (at_least)"
+            remark = f"the Lacey index is NaN: {few}; increase cell"
+        else:
+            remark = self.size_remark(particles["radius"], is_first)
+        return Reading({"lacey_index": index}, remark)
 
 
 # Segregation of two kinds of particles, by volume
+
+
+RANDOM_LIMIT = 0.2
+"""Intensity of a random mixture above which a remark says that the cells contain few particles: five of equal
+size."""
 
 
 def segregation_intensity(
@@ -299,8 +340,8 @@ def segregation_intensity(
 
     V_k: volume of the particles with centers in cell k; c_k, c: share by volume of the first kind
     (`is_kind_a` (n,)) in cell k and in all cells. 1: each cell contains one kind only; 0: the same share in
-    all cells. No cell is excluded. NaN with one kind. (sigma^2 / (c (1 - c)) of P. V. Danckwerts, Appl. Sci.
-    Res. A 3 (1952) 279, with samples weighted by their volume.)
+    all cells. No cell is excluded. NaN with one kind or one cell. (sigma^2 / (c (1 - c)) of
+    P. V. Danckwerts, Appl. Sci. Res. A 3 (1952) 279, with samples weighted by their volume.)
     """
     cell, inside = grid.cells_of(position)
     total = np.bincount(cell[inside], weights=volume[inside], minlength=grid.cell_count)
@@ -309,7 +350,7 @@ def segregation_intensity(
     total = total[total > 0.0]
     share = first.sum() / total.sum() if len(total) else np.nan
     segregated = share * (1.0 - share) * total.sum()
-    if not segregated > 0.0:
+    if len(total) < 2 or not segregated > 0.0:
         return float("nan")
     return float((total * (first / total - share) ** 2).sum() / segregated)
 
@@ -346,6 +387,8 @@ def random_intensity(
 class SegregationMetric(TwoComponentGrid):
     """Intensity of segregation of two components by volume, and its value for a random mixture.
 
+    If that value is above RANDOM_LIMIT, the cells contain too few particles, which a warning says.
+
     1: each cell contains one component only, 0: the same share in all cells. (P. V. Danckwerts, Appl. Sci.
     Res. A 3 (1952) 279.)
 
@@ -364,17 +407,25 @@ class SegregationMetric(TwoComponentGrid):
     )
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
-        """See `Metric`."""
+        """See `Metric`; the remark gives the reason of a value without meaning."""
         particles = mobile_particles(snapshot.particles)
         volume = _volume(particles, scene)
         is_first = self.is_first(particles, scene)
-        arguments = particles["position"], volume, is_first, self.grid_in(scene.domain)
-        return Reading(
-            {
-                "segregation_intensity": segregation_intensity(*arguments),
-                "segregation_intensity_random": random_intensity(*arguments),
-            }
-        )
+        grid = self.grid_in(scene.domain)
+        arguments = particles["position"], volume, is_first, grid
+        intensity = segregation_intensity(*arguments)
+        random = random_intensity(*arguments)
+        numbers = {"segregation_intensity": intensity, "segregation_intensity_random": random}
+        if np.isnan(intensity):
+            reason = self.reason_without(particles["position"], is_first, grid)
+            return Reading(numbers, f"the intensity of segregation is NaN: {reason}")
+        if random > RANDOM_LIMIT:
+            remark = (
+                f"a random mixture of these particles has an intensity of segregation of {random:.2g}, "
+                "because the cells contain few of them, so that smaller intensities are chance; increase cell"
+            )
+            return Reading(numbers, remark)
+        return Reading(numbers, self.size_remark(particles["radius"], is_first))
 
 
 # Angle of repose
@@ -383,7 +434,7 @@ class SegregationMetric(TwoComponentGrid):
 # or plane is fitted to the tops of these spheres.
 
 COLUMN_WIDTH = 2.0
-"""Edge of the columns in which the surface of a heap is determined, in largest diameters."""
+"""Edge of the columns in which the surface of a heap is determined, in Sauter mean diameters."""
 FLANK = (0.8, 0.2)
 """Upper and lower end of the fitted flank, over the height of the cone: excludes the rounded top and the
 foot."""
@@ -418,7 +469,7 @@ def slope_of_cone(
 ) -> Slope:
     """The slope of the flank of a conical heap of spheres with centers (n, 3), z upward, and radii (n,) [m].
 
-    `edge` [m]: of the columns, about two diameters; `axis` (2,) [m]: of the cone, the mean of all centers if
+    `edge` [m]: of the columns, see `column_edge`; `axis` (2,) [m]: of the cone, the mean of all centers if
     None. The flank is where the mean height of a ring around the axis is between 0.8 and 0.2 of the largest;
     a straight line is fitted to the height over the distance from the axis by least squares. The angle is not
     negative. NaN without particles, with fewer than FEWEST surface points on the flank, or if the fit is not
@@ -453,11 +504,26 @@ def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope
     return _slope(surface[:, :2], surface[:, 2])
 
 
+def column_edge(radius: np.ndarray) -> float:
+    """Edge [m] of the columns for spheres with radii (n,) [m]: COLUMN_WIDTH Sauter mean diameters.
+
+        d32 = sum d^3 / sum d^2
+
+    Of the area of a section through a packing, particles of each size have the same share as of its volume,
+    so that their number per area is that share over d^2 and the spacing of particles in the surface follows
+    the frequent small ones. Few large particles do not widen the columns: in wide columns, the highest
+    particle is an outlier and the surface too high. (J. Sauter, Forschungsarb. Ing.-Wes. 279 (1926).)
+    """
+    share = radius / radius.max()  # exact for equal radii
+    return COLUMN_WIDTH * 2.0 * float(radius.max() * ((share**3).sum() / (share**2).sum()))
+
+
 def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.ndarray:
     """The tops (m, 3) [m] of the highest spheres, one for each column that contains spheres.
 
     The columns are about `edge` [m] wide and divide the extent of the points evenly: in a narrow column at
-    the border, the highest sphere would be deep inside the heap.
+    the border, the highest sphere would be deep inside the heap. A top inside or below a larger sphere, whose
+    center is in another column, is no point of the surface.
     """
     low = points[:, :2].min(axis=0)
     extent = np.maximum(points[:, :2].max(axis=0) - low, np.finfo(float).tiny)
@@ -467,7 +533,25 @@ def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.nd
     order = np.lexsort((-top, column[:, 1], column[:, 0]))
     changes = (np.diff(column[order], axis=0) != 0).any(axis=1)
     first = order[np.flatnonzero(np.append(True, changes))]
-    return np.column_stack([points[first, :2], top[first]])
+    found = np.column_stack([points[first, :2], top[first]])
+    return found[~_are_hidden(found, radius[first])]
+
+
+def _are_hidden(tops: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Which of the tops (m, 3) [m] of spheres with radii (m,) [m] are inside or below a larger one."""
+    from scipy.spatial import cKDTree
+
+    hidden = np.zeros(len(tops), bool)
+    larger = np.flatnonzero(radius > radius.min())
+    if not len(larger):
+        return hidden
+    lists = cKDTree(tops[:, :2]).query_ball_point(tops[larger, :2], radius[larger])
+    below = np.concatenate(lists).astype(np.int64)
+    above = np.repeat(larger, [len(each) for each in lists])
+    offset = ((tops[below, :2] - tops[above, :2]) ** 2).sum(axis=1)
+    upper = tops[above, 2] - radius[above] + np.sqrt(np.maximum(radius[above] ** 2 - offset, 0.0))
+    hidden[below[(radius[below] < radius[above]) & (tops[below, 2] < upper)]] = True
+    return hidden
 
 
 def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
@@ -563,11 +647,11 @@ class ReposeMetric(Metric):
         floor has one.
         """
         frame = frame_along(-np.array(scene.gravity) / np.linalg.norm(scene.gravity))
-        edge = COLUMN_WIDTH * 2.0 * scene.largest_radius
         particles = mobile_particles(snapshot.particles)
         contacts = particles["coordination_number"] + _wall_contacts(particles)
         heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], self.region))
         points = heap["position"].astype(float) @ frame.T
+        edge = column_edge(heap["radius"].astype(float)) if len(points) else 0.0
         if self.surface == "cone":
             axis = None if self.axis is None else (frame @ np.array(self.axis))[:2]
             slope = slope_of_cone(points, heap["radius"], edge, axis)
@@ -606,8 +690,8 @@ class HeightMetric(Metric):
     below which a share of the particle volume lies.
 
     The vertical is opposite to gravity. The free surface consists of the tops of the highest particles of
-    columns that are two largest diameters wide. Particles with fewer than two contacts, such as those that
-    fall, are excluded from the surface, but not from the volume.
+    columns that are two Sauter mean diameters wide. Particles with fewer than two contacts, such as those
+    that fall, are excluded from the surface, but not from the volume.
 
     >>> gf.HeightMetric(base="5 mm").share
     0.95
@@ -643,8 +727,7 @@ class HeightMetric(Metric):
         rests = particles["coordination_number"] + _wall_contacts(particles) >= MIN_CONTACTS
         tops: np.ndarray = np.zeros(0)
         if rests.any():
-            edge = COLUMN_WIDTH * 2.0 * scene.largest_radius
-            tops = surface_points(points[rests], radius[rests], edge)[:, 2]
+            tops = surface_points(points[rests], radius[rests], column_edge(radius[rests]))[:, 2]
         numbers = {
             "bed_height": _mean(tops) - self.base,
             "heap_height": float(tops.max(initial=-np.inf)) - self.base if len(tops) else float("nan"),

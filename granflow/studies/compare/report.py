@@ -518,13 +518,21 @@ def differences_table(differences: Sequence[Difference]) -> PageTable:
                 each.title,
                 f"{readable(each.value)} {each.unit}".strip(),
                 f"{readable(each.low)} to {readable(each.high)}",
-                f"{100.0 * value:+.2g}" if np.isfinite(value) else MISSING,
-                " to ".join(f"{100.0 * bound:+.2g}" for bound in bounds) if np.isfinite(value) else MISSING,
+                _signed_percent(value),
+                " to ".join(map(_signed_percent, bounds)),
                 each.verdict,
             ]
         )
     heads = ("", "model", f"minus\n{first}", "95 %\ninterval", "%", "95 %\ninterval, %", f"than\n{first}")
     return PageTable(heads, rows)
+
+
+def _signed_percent(share: float) -> str:
+    """A fraction in percent with two digits and its sign; a dash for nan."""
+    value = 100.0 * share
+    if not np.isfinite(value):
+        return MISSING
+    return f"{value:+.2g}" if abs(value) < 100.0 else f"{value:+.0f}"
 
 
 def scatter_note(found: SceneComparison) -> str:
