@@ -1,6 +1,7 @@
 """Meshes of LIGGGHTS: fix mesh/surface with its modules, and the mass that passes a mesh."""
 
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from math import pi, sqrt
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from granflow.geometry.mesh_file import read_triangles
-from granflow.importing.deck import Deck, Fix, Translation, Vector, Words
+from granflow.importing.deck import Deck, Fix, Run, Translation, Vector, Words
 from granflow.importing.heat import wall_temperature
-from granflow.importing.language import DeckError
+from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import Property, material_of
+from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
-from granflow.importing.schedule import stages_of
+from granflow.importing.schedule import stages_of, stages_of_runs
 from granflow.io.files import FormatError
 
 SAME_SPEED = 1e-3
@@ -37,6 +39,7 @@ class Mesh:
     velocity:   of the surface [m/s]
     spin:       origin [m], axis and rate [rad/s] of a surface that turns along itself
     servo:      keywords of the module servo
+    changes:    time [s] from which the servo has another target, in the unit of the script; None: at rest
     """
 
     path: Path
@@ -46,6 +49,7 @@ class Mesh:
     velocity: Vector | None = None
     spin: tuple[Vector, Vector, float] | None = None
     servo: dict[str, Any] = field(default_factory=dict)
+    changes: list[tuple[float, float | None]] = field(default_factory=list)
     measured: bool = False
     """Whether the forces on the mesh are computed."""
     worn: bool = False
@@ -323,23 +327,71 @@ def _servo(deck: Deck, given: Mesh, mesh: Fix, wall: str) -> list[dict[str, Any]
     missing = [key for key in ("axis", "target_val", "vel_max") if key not in servo]
     if missing:
         raise DeckError(mesh.entry.command, f"a servo needs {' and '.join(missing)}.")
-    target = deck.si(servo["target_val"], "force")
-    if target == 0.0:
-        mesh.entry.impossible("a servo with the force 0", "motion: {kind: free} with a small mass")
-        return []
-    sign = 1.0 if target > 0.0 else -1.0
-    keys = {
-        "kind": "servo",
-        "direction": [sign * each for each in servo["axis"]],
-        "force": quantity(abs(target), "force"),
-        "velocity_max": quantity(servo["vel_max"], "velocity"),
-    }
-    mesh.entry.translated(f"walls.{wall}.motion")
-    mesh.entry.approximated(
-        "the gain of the servo follows from the stiffness of the contacts, not from kp, ki and kd: the "
-        "target force is equal, the way to it differs"
-    )
-    return [keys]
+    found: list[dict[str, Any]] = []
+    runs = deck.acting(mesh)
+    for value, group in groupby(runs, lambda run: _target_in(given, run)):
+        if value is None:
+            continue
+        target = deck.si(value, "force")
+        if target == 0.0:
+            mesh.entry.impossible("a servo with the force 0", "motion: {kind: free} with a small mass")
+            return []
+        sign = 1.0 if target > 0.0 else -1.0
+        keys = {
+            "kind": "servo",
+            "direction": [sign * each for each in servo["axis"]],
+            "force": quantity(abs(target), "force"),
+            "velocity_max": quantity(servo["vel_max"], "velocity"),
+        }
+        stages = stages_of_runs(deck, list(group))
+        found.append({**keys, **({} if stages is None else {"stages": stages})})
+    if found:
+        mesh.entry.translated(f"walls.{wall}.motion")
+        mesh.entry.approximated(
+            "the gain of the servo follows from the stiffness of the contacts, not from kp, ki and kd: the "
+            "target force is equal, the way to it differs"
+        )
+    return found
+
+
+def _target_in(given: Mesh, run: Run) -> float | None:
+    """The target of a servo in a run, in the unit of the script; None if it is at rest."""
+    target: float | None = given.servo["target_val"]
+    for time, value in given.changes:
+        if time <= run.start + run.slack:
+            target = value
+    return target
+
+
+def fix_modify(deck: Deck, command: Command, entry: Entry) -> None:
+    """fix_modify ID integrate start|stop | target_val F, of a servo; settings of output of other fixes."""
+    words = Words(deck, command, command.words)
+    fix = deck.fixes.get(words.word("the name of a fix"))
+    if fix is None or not isinstance(fix.data, Mesh) or not fix.data.servo:
+        words.skip()
+        entry.not_needed("settings of printed energies")
+        return
+    target = _target_now(fix.data)
+    while words:
+        key = words.word("a keyword")
+        if key == "integrate":
+            is_on = words.word("start or stop") == "start"
+            target = (_target_now(fix.data, at_rest=False)) if is_on else None
+        elif key.endswith("target_val") and not words.next.startswith("v_"):
+            target = words.plain("the target")
+        else:
+            entry.impossible(f"{key} {words.next} of a servo", "target_val with a number, or integrate start")
+            words.skip()
+            return
+    fix.data.changes.append((deck.time, target))
+    deck.own("changes", set).add(deck.time)
+    entry.translated("walls.NAME.motion")
+
+
+def _target_now(given: Mesh, at_rest: bool = True) -> float | None:
+    """The target at the present line; with `at_rest` False the last one that is a number."""
+    targets = [given.servo.get("target_val"), *(value for _, value in given.changes)]
+    return targets[-1] if at_rest else next(each for each in reversed(targets) if each is not None)
 
 
 def measure(draft: Draft, mesh: Fix, wall: str) -> None:
@@ -590,7 +642,13 @@ _STRESS = Translation(
     mesh_surface, "walls.NAME (shape: mesh), walls.NAME.wear, output.wall_forces", "wear finnie"
 )
 
-COMMANDS: dict[str, Translation] = {}
+COMMANDS: dict[str, Translation] = {
+    "fix_modify": Translation(
+        fix_modify,
+        "walls.NAME.motion (stages of a servo)",
+        "integrate, target_val; other settings not needed",
+    ),
+}
 FIXES: dict[str, Translation] = {
     "mesh/surface": _MESH,
     "mesh/surface/planar": _MESH,

@@ -599,7 +599,6 @@ COMMANDS: dict[str, Translation] = {
     "uncompute": not_needed("results are written to the end of the run"),
     "dump_modify": not_needed("the form of the files is fixed"),
     "compute_modify": not_needed("settings of temperatures"),
-    "fix_modify": not_needed("settings of printed energies"),
     "run_style": not_needed("the integrator is a leapfrog"),
     "neighbor": not_needed(_NEIGHBOR),
     "neigh_modify": Translation(exclude, "not needed", "exclude is not possible"),

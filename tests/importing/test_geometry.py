@@ -352,6 +352,33 @@ def test_servo_and_forces(tmp_path, square):
     assert scene["output"]["wall_forces"] == ["cad"]
 
 
+def test_servo_that_stops_and_changes_its_target(tmp_path, square):
+    """The plate is at rest while particles fall, presses with 10 N, rests, presses with 10 N and with 5 N."""
+    style = square.replace("mesh/surface", "mesh/surface/stress/servo")
+    servo = "com 0 0 0 ctrlPV force axis 0 0 1 target_val -10 vel_max 0.2 kp 5"
+    runs = (
+        "fix_modify cad integrate stop\nrun 100\nfix_modify cad integrate start\nrun 200\n"
+        "fix_modify cad integrate stop\nrun 300\nfix_modify cad integrate start\nrun 400\n"
+        "fix_modify cad target_val -5\nrun 500"
+    )
+    found, scene = imported(tmp_path, liggghts(f"fix cad all {style} {servo}\n{MOVED}{runs}"))
+    assert [(each["force"], each["stages"]) for each in scene["walls"]["cad"]["motion"]] == [
+        ("10 N", ["stage_2"]),
+        ("10 N", ["stage_4"]),
+        ("5 N", ["stage_5"]),
+    ]
+    assert [each["duration"] for each in scene["stages"]] == ["1 ms", "2 ms", "3 ms", "4 ms", "5 ms"]
+    checked(tmp_path, found)
+
+
+def test_servo_with_a_target_that_follows_a_variable(tmp_path, square):
+    style = square.replace("mesh/surface", "mesh/surface/stress/servo")
+    servo = "com 0 0 0 ctrlPV force axis 0 0 1 target_val -10 vel_max 0.2 kp 5"
+    change = "variable f equal step\nfix_modify cad servo/target_val v_f\nrun 9"
+    found, _ = imported(tmp_path, liggghts(f"fix cad all {style} {servo}\n{MOVED}run 9\n{change}"))
+    assert "servo/target_val v_f of a servo" in sentences(found, "fix_modify")
+
+
 def test_wear_by_the_model_of_finnie(tmp_path, square):
     """k_finnie of a mesh of type 2 and particles of type 1, in 1/(dyn/cm2) = 10/Pa."""
     style = square.replace("mesh/surface", "mesh/surface/stress").replace("type 1", "type 2")
