@@ -433,9 +433,15 @@ def _sizes(distribution: Distribution, members: list[Template]) -> Any:
         if members[0].sizes is not None:
             return members[0].sizes
         return quantity(2.0 * members[0].radius, "length")
+    fractions: dict[float, float] = {}
+    for each in members:
+        fractions[each.radius] = fractions.get(each.radius, 0.0) + shares[id(each)]
     classes = [
-        {"diameter": quantity(2.0 * each.radius, "length"), "fraction": shares[id(each)]} for each in members
+        {"diameter": quantity(2.0 * radius, "length"), "fraction": float(f"{share:.12g}")}
+        for radius, share in fractions.items()
     ]
+    if len(classes) == 1:
+        return classes[0]["diameter"]
     return {"distribution": "classes", "by": distribution.by, "classes": classes}
 
 

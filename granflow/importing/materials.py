@@ -356,7 +356,7 @@ def old_model(deck: Deck, words: Words, entry: Entry, style: str) -> Model:
     kt = _or_default(words, "Kt", "pressure" if is_hertz else "stiffness", 2.0 / 7.0 * kn)
     gn = words.not_negative("gamma_n", "hertz_damping" if is_hertz else "rate")
     gt = _or_default(words, "gamma_t", "hertz_damping" if is_hertz else "rate", 0.5 * gn)
-    mu = words.number("xmu")
+    mu = words.not_negative("xmu")
     damped = words.whole("dampflag")
     has_limit = words.next == "limit_damping"
     if has_limit:
@@ -398,7 +398,7 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         numbers["nu"] = _poisson_ratio(words)
         if normal != "hertz/material":
             cohesion = normal
-            numbers["gamma"] = words.number("gamma", "surface_energy")
+            numbers["gamma"] = words.not_negative("gamma", "surface_energy")
     else:
         entry.impossible(f"the normal model {normal}", "hooke, hertz, hertz/material, dmt or jkr")
         words.skip()
@@ -408,25 +408,25 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         if key == "tangential":
             tangential = words.word("the tangential model")
             if tangential == "linear_nohistory":
-                numbers["xt"], numbers["mu"] = words.number("x_gamma,t"), words.number("mu_s")
+                numbers["xt"], numbers["mu"] = words.not_negative("x_gamma,t"), words.not_negative("mu_s")
             elif tangential == "linear_history":
-                numbers["kt"] = words.number("k_t", "stiffness")
-                numbers["xt"], numbers["mu"] = words.number("x_gamma,t"), words.number("mu_s")
+                numbers["kt"] = words.not_negative("k_t", "stiffness")
+                numbers["xt"], numbers["mu"] = words.not_negative("x_gamma,t"), words.not_negative("mu_s")
             elif tangential.startswith("mindlin"):
                 if words.next == "NULL":
                     words.word("k_t")
                 else:
-                    numbers["kt"] = words.number("k_t", "pressure")
-                numbers["xt"], numbers["mu"] = words.number("x_gamma,t"), words.number("mu_s")
+                    numbers["kt"] = words.not_negative("k_t", "pressure")
+                numbers["xt"], numbers["mu"] = words.not_negative("x_gamma,t"), words.not_negative("mu_s")
             else:
                 entry.impossible(f"the tangential model {tangential}", "linear_history or mindlin")
                 words.skip()
         elif key == "rolling":
             rolling = words.word("the rolling model")
             if rolling == "sds":
-                numbers["kr"] = words.number("k_roll", "stiffness")
-                numbers["gr"] = words.number("gamma_roll", "damping")
-                numbers["mur"] = words.number("mu_roll")
+                numbers["kr"] = words.not_negative("k_roll", "stiffness")
+                numbers["gr"] = words.not_negative("gamma_roll", "damping")
+                numbers["mur"] = words.not_negative("mu_roll")
             elif rolling != "none":
                 entry.impossible(f"the rolling model {rolling}", "rolling sds")
                 rolling = "none"
@@ -434,9 +434,9 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         elif key == "twisting":
             twisting = words.word("the twisting model")
             if twisting == "sds":
-                numbers["ktw"] = words.number("k_twist", "torque")
+                numbers["ktw"] = words.not_negative("k_twist", "torque")
                 numbers["gtw"] = words.plain("gamma_twist")
-                numbers["mutw"] = words.number("mu_twist", "length")
+                numbers["mutw"] = words.not_negative("mu_twist", "length")
             elif twisting not in ("none", "marshall"):
                 entry.impossible(f"the twisting model {twisting}", "twisting marshall or sds")
                 twisting = "none"

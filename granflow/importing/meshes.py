@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, KDTree
 
 from granflow.geometry.mesh_file import read_triangles
 from granflow.importing.deck import Deck, Fix, Run, Translation, Vector, Words
@@ -603,13 +603,10 @@ def flat_face(mesh: Mesh, outside: np.ndarray) -> FlatFace | None:
     size = float(distance.max())
     if np.abs((points - center) @ normal).max() > ROUNDED * size:
         return None
-    if len(points) == 4 and np.ptp(distance) < ROUNDED * size:
-        order = np.argsort(np.linalg.norm(points - points[0], axis=1))
-        first, second = points[order[1]] - points[0], points[order[2]] - points[0]
-        if np.cross(first, second) @ normal < 0.0:
-            first, second = second, first
-        return FlatFace(points[0], normal, np.array([first, second]), 0.0, size)
     area = float(areas.sum())
+    around = _rectangle_around(points, normal)
+    if abs(np.linalg.norm(np.cross(*around[1])) / area - 1.0) < ROUNDED:
+        return FlatFace(around[0], normal, around[1], 0.0, size)
     radius = sqrt(area / pi)
     weight = areas[:, None] / area
     center = (triangles.mean(axis=1) * weight).sum(axis=0)
@@ -617,6 +614,24 @@ def flat_face(mesh: Mesh, outside: np.ndarray) -> FlatFace | None:
     if abs(size / radius - 1.0) > 0.05:
         difference = f"radius {radius:.3g} m, farthest corner of the mesh {size:.3g} m"
     return FlatFace(center, normal, None, radius, size, difference)
+
+
+def _rectangle_around(points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A corner and two sides (2, 3) of the smallest rectangle around points (n, 3) of a plane.
+
+    One of its sides is along an edge of the convex hull; the sides turn around the normal.
+    """
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    plane = np.array([first, np.cross(normal, first)]) / np.linalg.norm(first)
+    flat = points @ plane.T
+    edges = np.diff(flat[ConvexHull(flat).simplices], axis=1)[:, 0]
+    found = []
+    for along in edges / np.linalg.norm(edges, axis=1)[:, None]:
+        axes = np.array([along, [-along[1], along[0]]])
+        low, high = (flat @ axes.T).min(axis=0), (flat @ axes.T).max(axis=0)
+        found.append((float(np.prod(high - low)), low @ axes, (high - low)[:, None] * axes))
+    _, corner, sides = min(found, key=lambda each: each[0])
+    return corner @ plane + (points[0] @ normal) * normal, sides @ plane
 
 
 def _distinct(points: np.ndarray) -> np.ndarray:

@@ -103,9 +103,21 @@ def unfix(deck: Deck, command: Command, entry: Entry) -> None:
         raise DeckError(
             command, f"there is no fix {name} to unfix. Fixes: {', '.join(deck.fixes) or 'none'}."
         )
-    fix = deck.fixes.pop(name)
+    fix = deck.fixes[name]
+    user = _user_of(deck, fix)
+    if user is not None:
+        raise DeckError(command, f"fix {user.name} uses the mesh {name}; unfix {user.name} before it.")
+    del deck.fixes[name]
     fix.end = deck.time
     entry.not_needed(f"it ends fix {name}, see its line")
+
+
+def _user_of(deck: Deck, mesh: Fix) -> Fix | None:
+    """A wall or a motion that acts with a mesh; the code does not end the mesh before."""
+    if not mesh.style.startswith("mesh/surface"):
+        return None
+    users = (each for each in deck.fixes.values() if each.style in ("wall/gran", "move/mesh"))
+    return next((each for each in users if mesh.name in each.words), None)
 
 
 # Forces on all particles

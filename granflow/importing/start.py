@@ -12,6 +12,7 @@ import numpy as np
 from granflow.geometry.close_pairs import near_pairs
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.importing.deck import (
+    LARGEST,
     Deck,
     ParticleGroup,
     Points,
@@ -71,12 +72,18 @@ def read_data(deck: Deck, command: Command, entry: Entry) -> None:
     def floats(words: list[str]) -> list[float]:
         """Words of a row as numbers. Raises DeckError."""
         try:
-            return [float(each) for each in words]
+            found = [float(each) for each in words]
         except ValueError:
             raise DeckError(
                 command,
                 f"{path.name}:{number}: {' '.join(words)} has a word that is not a number.",
             ) from None
+        if not all(abs(each) <= LARGEST for each in found):  # nan as well
+            raise DeckError(
+                command,
+                f"{path.name}:{number}: {' '.join(words)} has a number that is not below {LARGEST:g}.",
+            )
+        return found
 
     for number, raw in enumerate(lines[1:], 2):
         parts = raw.split("#")[0].split()

@@ -10,6 +10,7 @@ import yaml
 import granflow as gf
 from granflow.importing.convert import convert
 from granflow.importing.language import DeckError
+from granflow.importing.meshes import Mesh, flat_face
 from granflow.plan.build import plan_for
 from granflow.scene.blocks.motions import poses_at
 from granflow.units import to_si
@@ -434,6 +435,36 @@ def test_stream_through_a_face(tmp_path, square, all_in, margin):
     assert insert.face.normal.tolist() == [0, 0, -1]
     assert insert.start == pytest.approx(0.0035 / 0.7)
     assert "up to 0.02 m before it" in sentences(found, "fix s")
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_flat_mesh_of_a_rectangle_in_parts(tmp_path, turn):
+    """Two squares of 20 mm in a row, in a text file of six digits: a rectangle of 40 mm x 20 mm, however turned."""
+    axes = np.array([[cos(turn), sin(turn), 0.0], [-sin(turn), cos(turn), 0.0]])
+    parts = [
+        [[0, 0], [1, 0], [1, 1]],
+        [[0, 0], [1, 1], [0, 1]],
+        [[1, 0], [2, 0], [2, 1]],
+        [[1, 0], [2, 1], [1, 1]],
+    ]
+    triangles = 0.02 * np.array(parts) @ axes + [0.0, 0.0, 0.1]
+    rows = "".join(
+        "facet normal 0 0 1\nouter loop\n" + "".join("vertex {:.6g} {:.6g} {:.6g}\n".format(*p) for p in each)
+        + "endloop\nendfacet\n" for each in triangles
+    )  # fmt: skip
+    (tmp_path / "face.stl").write_text(f"solid a\n{rows}endsolid a\n")
+    face = flat_face(Mesh(tmp_path / "face.stl", 1), np.array([0.0, 0.0, -1.0]))
+    assert face.sides is not None and not face.difference
+    assert np.cross(*face.sides) == pytest.approx([0.0, 0.0, -0.0008], rel=1e-4)
+    corners = [face.point + a * face.sides[0] + b * face.sides[1] for a in (0, 1) for b in (0, 1)]
+    expected = 0.02 * np.array([[0, 0], [2, 0], [0, 1], [2, 1]]) @ axes + [0.0, 0.0, 0.1]
+    distance = np.linalg.norm(np.array(corners)[:, None] - expected[None], axis=2)
+    assert distance.min(axis=0).max() < 1e-6 and distance.min(axis=1).max() < 1e-6
+
+
+def test_mesh_of_a_wall_does_not_end_before_it(tmp_path, square):
+    with pytest.raises(DeckError, match="fix w uses the mesh cad; unfix w before it"):
+        imported(tmp_path, liggghts(f"fix cad all {square}\n{MOVED}run 9\nunfix cad\nrun 9"))
 
 
 # Regions
