@@ -412,7 +412,7 @@ def compare(options: argparse.Namespace) -> int:
         say(note)
     if found.differences:
         table = differences_table(found.differences)
-        show_table(f"Differences to {found.runs[0].variant.title}", table.heads, table.rows)
+        show_table(f"Differences to {found.differences[0].first}", table.heads, table.rows)
     say(scatter_note(found))
     for assessment in found.assessments:
         say(f"{assessment.part} {assessment.conclusion.capitalize()}. {assessment.why}")

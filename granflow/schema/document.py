@@ -483,7 +483,7 @@ def yaml_text(value: Any, indent: int = 0) -> str:
 
 def _yaml_below(value: Any, indent: int) -> str:
     """The value of a key: on the same line if it fits, else indented below."""
-    line = _yaml_inline(value)
+    line = yaml_inline(value)
     if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
         return f" {line}\n"
     return "\n" + yaml_text(value, indent + 2)
@@ -491,18 +491,18 @@ def _yaml_below(value: Any, indent: int) -> str:
 
 def _yaml_item(value: Any, indent: int) -> str:
     """An item of a list: on the same line if it fits, else its first line after the hyphen."""
-    line = _yaml_inline(value)
+    line = yaml_inline(value)
     if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
         return f"{line}\n"
     return yaml_text(value, indent + 2).lstrip(" ")
 
 
-def _yaml_inline(value: Any) -> str:
+def yaml_inline(value: Any) -> str:
     """A value on one line, in the notation of YAML flow collections."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_yaml_inline(each)}" for key, each in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {yaml_inline(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_yaml_inline(each) for each in value) + "]"
+        return "[" + ", ".join(yaml_inline(each) for each in value) + "]"
     if isinstance(value, str):
         plain = _PLAIN.fullmatch(value) and isinstance(resolve(value), str) and ": " not in value
         return value if plain else '"' + "".join(map(_yaml_escaped, value)) + '"'

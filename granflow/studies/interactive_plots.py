@@ -19,6 +19,7 @@ from zlib import compress
 import numpy as np
 
 from granflow.io.tables import SeriesColumn, TimeSeriesTable
+from granflow.schema.document import yaml_inline
 from granflow.studies.figures import COLORS
 from granflow.visible_text import distinct_endings
 
@@ -146,7 +147,10 @@ def plain_number(value: Any, digits: int = 6) -> Any:
 
 
 def level_text(value: Any, digits: int = 6) -> str:
-    """Text of a value of a parameter: 18 for the float 18.0, and other values as they are."""
+    """Text of a value of a parameter: 18 for the float 18.0, YAML for a mapping or list, other values as they
+    are."""
+    if isinstance(value, dict | list | tuple):
+        return yaml_inline(value)
     number = plain_number(value, digits)
     return f"{number:.{digits}g}" if isinstance(number, int | float) else str(value)
 

@@ -3,7 +3,7 @@
 `write_sweep_page` puts the parts together; the functions below return them in the order of the page.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import floor, inf, log10
@@ -14,7 +14,14 @@ import numpy as np
 
 from granflow.io.files import write_text
 from granflow.io.tables import read_series
-from granflow.studies.figures import COLORS, Drawing, PageTable, without_empty_ends
+from granflow.studies.figures import (
+    COLORS,
+    MARKERS,
+    Drawing,
+    PageTable,
+    without_empty_ends,
+    write_figures,
+)
 from granflow.studies.interactive_plots import (
     Plot,
     escaped,
@@ -26,7 +33,7 @@ from granflow.studies.interactive_plots import (
 )
 from granflow.studies.page import SCREEN_WIDTH, page_text
 from granflow.studies.sweep_design import Grid, SobolSampling, SweepInput
-from granflow.studies.sweep_table import ShownTable, SweepTable, shown
+from granflow.studies.sweep_table import PointRow, ShownTable, SweepTable, shown
 from granflow.studies.yield_locus import remarks_of, shown_table
 
 PAGE = "sweep.html"
@@ -36,10 +43,15 @@ NO_LIBRARY = (
 )
 
 
+FIGURE = "sweep.png"
+"""Figure of all quantities over all parameters, with standard errors."""
+
+
 def write_sweep_page(
     out: Path, sweep: SweepInput, table: SweepTable, figures: Mapping[str, Drawing] | None = None
 ) -> None:
-    """Write `sweep.html` to the directory of the sweep; without plotly, it has tables only.
+    """Write `sweep.html` and FIGURE to the directory of the sweep; without plotly, the page has tables only,
+    and without matplotlib, there is no figure.
 
     `figures`: images of the evaluation in this directory, by file name.
     """
@@ -69,6 +81,72 @@ def write_sweep_page(
         points=_points(found),
     )
     write_text(out / PAGE, text)
+    drawing = figure_of(found)
+    if drawing is not None:
+        write_figures(out, {FIGURE: drawing})
+
+
+PANEL = (3.2, 2.4)
+"""Width and height of a panel [inch]."""
+MOST_PANELS = 6
+"""Largest number of rows and of columns of panels: of quantities and of parameters."""
+
+
+def figure_of(table: ShownTable) -> Drawing | None:
+    """Each quantity over each parameter, with the standard errors of the means; None without any number."""
+    rows = [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
+    if not rows:
+        return None
+    quantities = table.quantities[:MOST_PANELS]
+    parameters = table.parameters[:MOST_PANELS]
+
+    def draw(figure: Any) -> None:
+        panels = figure.subplots(len(quantities), len(parameters), squeeze=False, sharey="row")
+        for line, quantity in zip(panels, quantities, strict=True):
+            for axes, parameter in zip(line, parameters, strict=True):
+                _draw_panel(axes, table, rows, quantity, parameter)
+            line[0].set_ylabel(table.label(quantity))
+        for axes, parameter in zip(panels[-1], parameters, strict=True):
+            axes.set_xlabel(table.parameter_label(parameter))
+
+    return Drawing(draw, 0.4 + PANEL[1] * len(quantities), 0.5 + PANEL[0] * len(parameters))
+
+
+def _draw_panel(
+    axes: Any, table: ShownTable, rows: Sequence[PointRow], quantity: str, parameter: str
+) -> None:
+    """Points of one quantity over one parameter with their standard errors; with two parameters, a line for
+    each value of the other one, if these are at most as many as there are colors."""
+    values = [table.value(row, parameter) for row in rows]
+    is_number = all(isinstance(each, int | float) and not isinstance(each, bool) for each in values)
+    levels = list(dict.fromkeys(map(level_text, values)))
+    positions = np.array(values if is_number else [levels.index(level_text(each)) for each in values], float)
+    means = np.array([table.mean(row, quantity) for row in rows])
+    errors = np.array([table.standard_error(row, quantity) for row in rows])
+    others = [name for name in table.parameters if name != parameter]
+    groups = [level_text(table.value(row, others[0]), 4) if len(others) == 1 else "" for row in rows]
+    names = list(dict.fromkeys(groups))
+    if len(names) > len(COLORS):
+        groups = [""] * len(rows)
+        names = [""]
+    for k, name in enumerate(names):
+        chosen = np.flatnonzero([each == name for each in groups])
+        chosen = chosen[np.argsort(positions[chosen], kind="stable")]
+        is_curve = len(set(positions[chosen].tolist())) == len(chosen) and len(others) < 2
+        style = {
+            "marker": MARKERS[k % len(MARKERS)], "markersize": 4.0, "markerfacecolor": "white",
+            "color": COLORS[k % len(COLORS)], "linestyle": "-" if is_curve and is_number else "none",
+        }  # fmt: skip
+        axes.errorbar(
+            positions[chosen], means[chosen], np.nan_to_num(errors[chosen]), capsize=2.0, label=name, **style
+        )
+    if parameter in table.logarithmic:
+        axes.set_xscale("log")
+    if not is_number:
+        axes.set_xticks(range(len(levels)), levels, rotation=30.0, ha="right")
+        axes.set_xticks([], minor=True)
+    if names != [""]:
+        axes.legend(title=table.short_name(others[0]), title_fontsize="small")
 
 
 def _statuses(table: SweepTable) -> PageTable:

@@ -137,7 +137,7 @@ class SweepTable:
         """
         outcomes = [row.outcome for row in self.rows]
         found: dict[str, list[Any]] = {
-            name: [row.point.values[name] for row in self.rows] for name in self.parameters
+            name: [_plain(row.point.values[name]) for row in self.rows] for name in self.parameters
         }
         found["status"] = [each.status for each in outcomes]
         found["reason"] = [each.reason for each in outcomes]
@@ -156,7 +156,7 @@ class SweepTable:
         directory."""
         pairs = [(row.point, each) for row in self.rows for each in row.runs]
         found: dict[str, list[Any]] = {
-            name: [point.values[name] for point, _ in pairs] for name in self.parameters
+            name: [_plain(point.values[name]) for point, _ in pairs] for name in self.parameters
         }
         found["seed"] = [each.run.seed if each.run else None for _, each in pairs]
         found["status"] = [each.outcome.status for _, each in pairs]
@@ -198,6 +198,11 @@ def label(name: str) -> str:
     """Column name of a number with its unit, as in timeseries.csv: `mass_flow.outlet [kg/s]`."""
     unit = unit_of(name)
     return f"{name} [{unit}]" if unit else name
+
+
+def _plain(value: Any) -> Any:
+    """A value of a parameter for a table: a mapping or list as YAML on one line."""
+    return level_text(value) if isinstance(value, dict | list | tuple) else value
 
 
 def _cell(value: float) -> float | None:
@@ -267,7 +272,9 @@ class ShownTable:
         return in_unit(found, self.units[parameter]) if isinstance(found, float) else self._text(found)
 
     def _text(self, value: Any) -> Any:
-        """A text as the page shows it; other values unchanged."""
+        """A text as the page shows it, mappings and lists as text; other values unchanged."""
+        if isinstance(value, dict | list | tuple):
+            value = level_text(value)
         return escaped(value) if self.in_plots and isinstance(value, str) else value
 
     def mean(self, row: PointRow, quantity: str) -> float:

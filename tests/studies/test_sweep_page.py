@@ -13,8 +13,8 @@ from granflow.studies.calibration.results import result_of, write_calibration_pa
 from granflow.studies.interactive_plots import short_names
 from granflow.studies.run_process import ABORTED, DONE, Outcome, final_outcome, write_outcome
 from granflow.studies.sweep_design import DesignPoint, SweepInput, design_points
-from granflow.studies.sweep_page import mean_over, sobol_indices, with_error, write_sweep_page
-from granflow.studies.sweep_table import PointRow, RunRow, table_of, warning_sentence
+from granflow.studies.sweep_page import figure_of, mean_over, sobol_indices, with_error, write_sweep_page
+from granflow.studies.sweep_table import PointRow, RunRow, SweepTable, shown, table_of, warning_sentence
 
 
 def ishigami(x, y, z):
@@ -161,3 +161,58 @@ def test_the_first_of_the_warnings_of_a_sweep_is_shown():
     assert warning_sentence([row(), row("a"), row("b")]).endswith(
         "2 of 3 points have warnings, see sweep.csv; the first: a (1 more)"
     )
+
+
+def test_a_sweep_over_contact_models_with_options_has_a_page(tmp_path):
+    """Values that are mappings are labels in YAML, in plots, tables and the CSV file."""
+    laws = [{"law": "zhou", "rest_damping": 0.1}, {"law": "zhou", "rest_damping": 0.2}, "hertz"]
+    vary = {"contact.normal": {"values": laws}, "run.duration": {"values": [1.0, 2.0]}}
+    sweep, table = swept(
+        tmp_path, function=lambda law, time: time * len(law), vary=vary, sampling={"kind": "grid"}
+    )
+    write_sweep_page(tmp_path, sweep, table)
+    page = (tmp_path / "sweep.html").read_text()
+    assert "{law: zhou, rest_damping: 0.1}" in page and "{&#39;law&#39;" not in page
+    assert table.columns()["contact.normal"][0] == "{law: zhou, rest_damping: 0.1}"
+    assert table.run_columns()["contact.normal"][-1] == "hertz"
+
+
+def test_figure_of_a_sweep_has_points_with_standard_errors():
+    """Three seeds at each of two points: error bars of s / sqrt(3) about the means; a line for each value of the
+    other parameter."""
+    pytest.importorskip("matplotlib")
+    from granflow.studies.figures import styled_figure
+
+    sweep = SweepInput.model_validate({
+        "scene": "a.yaml", "read": ["mass_flow.out"], "repeat": {"seeds": 3},
+        "vary": {"a.x": [1.0, 2.0], "a.law": ["zhou", "hertz"]},
+    })  # fmt: skip
+    numbers = {(1.0, "zhou"): [1, 2, 3], (1.0, "hertz"): [4, 4, 7], (2.0, "zhou"): [2, 2, 2],
+               (2.0, "hertz"): [0, 5, 10]}  # fmt: skip
+    rows = tuple(
+        PointRow(
+            point,
+            [RunRow(None, Outcome(DONE, "", 1.0), {"mass_flow.out": float(value)}) for value in
+             numbers[tuple(point.values.values())]],
+        )
+        for point in design_points(sweep)
+    )  # fmt: skip
+    table = shown(sweep, SweepTable(("a.x", "a.law"), ("mass_flow.out",), 3, rows))
+    drawing = figure_of(table)
+    with styled_figure((4, 3)) as figure:
+        drawing.draw(figure)
+        over_x, over_law = figure.axes
+        bars = {each.get_label(): each for each in over_x.containers}
+        for law in ("zhou", "hertz"):
+            line, _, (sticks,) = bars[law]
+            expected = np.array([numbers[x, law] for x in (1.0, 2.0)], float)
+            assert line.get_xydata().tolist() == [[1.0, expected[0].mean()], [2.0, expected[1].mean()]]
+            length = [segment[1, 1] - segment[0, 1] for segment in sticks.get_segments()]
+            assert length == pytest.approx(2.0 * expected.std(axis=1, ddof=1) / np.sqrt(3.0))
+        assert [each.get_text() for each in over_law.get_xticklabels()] == ["zhou", "hertz"]
+
+
+def test_a_sweep_without_numbers_has_no_figure(tmp_path):
+    sweep, table = swept(tmp_path, aborts=range(27))
+    write_sweep_page(tmp_path, sweep, table)
+    assert not (tmp_path / "sweep.png").exists()

@@ -17,18 +17,18 @@ CONFIDENCE = 0.95
 
 
 class Estimate(NamedTuple):
-    """A mean with its standard error; `count`: number of values of which it is the mean."""
+    """A mean with its standard error; `size`: number of values of which it is the mean."""
 
     mean: float
     error: float
-    count: int
+    size: int
 
     @classmethod
     def of(cls, values: "np.ndarray | list[float]") -> "Estimate":
         """Mean of values (n,); the error is nan for fewer than two."""
-        count = len(values)
-        error = float(np.std(values, ddof=1)) / sqrt(count) if count > 1 else nan
-        return cls(float(np.mean(values)) if count else nan, error, count)
+        size = len(values)
+        error = float(np.std(values, ddof=1)) / sqrt(size) if size > 1 else nan
+        return cls(float(np.mean(values)) if size else nan, error, size)
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def welch_interval(first: Estimate, other: Estimate) -> tuple[float, float]:
         return nan, nan
     if error == 0.0:
         return difference, difference
-    parts = sum((each.error / error) ** 4 / (each.count - 1) for each in (first, other))
+    parts = sum((each.error / error) ** 4 / (each.size - 1) for each in (first, other))
     reach = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, 1.0 / parts)) * error
     return difference - reach, difference + reach
 

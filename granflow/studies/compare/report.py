@@ -463,10 +463,7 @@ def differences_between_seeds(runs: Sequence[VariantRun]) -> list[Difference]:
     """
     return _differences(
         runs,
-        [
-            (name, unit, lambda run, number=number: Estimate.of(_samples(run, number)))
-            for name, unit, number in physical_quantities(runs)
-        ],
+        [(name, unit, partial(_between_seeds, number)) for name, unit, number in physical_quantities(runs)],
     )
 
 
@@ -480,15 +477,16 @@ def differences_in_time(runs: Sequence[VariantRun]) -> list[Difference]:
     """Differences of the mass flow rates of single runs, with their fluctuation in time."""
     return _differences(
         [run for run in runs if not run.stopped],
-        [
-            (
-                _flow(meter)[0],
-                MASS_FLOW,
-                lambda run, meter=meter: Estimate(run.mass_flow(meter), run.mass_flow_error(meter), BLOCKS),
-            )
-            for meter in runs[0].meters
-        ],
+        [(_flow(meter)[0], MASS_FLOW, partial(_in_time, meter)) for meter in runs[0].meters],
     )
+
+
+def _between_seeds(number: Callable[[VariantRun], float], run: VariantRun) -> Estimate:
+    return Estimate.of(_samples(run, number))
+
+
+def _in_time(meter: str, run: VariantRun) -> Estimate:
+    return Estimate(run.mass_flow(meter), run.mass_flow_error(meter), BLOCKS)
 
 
 def _differences(
