@@ -21,8 +21,8 @@ from granflow.io.log import version_of
 from granflow.particles.resolve import resolved_input
 from granflow.scene.blocks.run import Precision
 from granflow.scene.blocks.scene import SceneInput
-from granflow.scene.reader import document_in, scene_in
-from granflow.schema.document import DocumentError, document_of, parse
+from granflow.scene.reader import document_in, scene_in, scene_with
+from granflow.schema.document import Document, DocumentError, document_of, parse
 from granflow.schema.model import Model
 from granflow.visible_text import html_table, numbered, visible_line
 
@@ -93,6 +93,36 @@ class Scene(SceneInput):
         if read and scene.start_from is not None:
             scene = scene.model_copy(update={"start_from": str(_earlier_run(scene))})
         return scene
+
+    def with_values(self, values: Mapping[str, Any]) -> "Scene":
+        """A copy of the scene with other values by key path; all others are those of the scene as written.
+
+        Keys: paths in the scene as for `--set`, such as "particles.beads.count" or "stages.1.duration"; parts
+        that the schema knows are created. Values: as for `from_dict`. The copy is validated and resolved, so
+        that defaults and counts follow the new values. Raises SceneError with all problems.
+
+        >>> import granflow as gf
+        >>> scene = gf.load_scene("hopper.yaml")
+        >>> scene.with_values({"particles.beads.count": 500, "run.velocity_max": "3 m/s"}).run.velocity_max
+        3.0
+        """
+        if not isinstance(values, Mapping):
+            raise GranflowError(
+                f"values is {shown(values)}, but must be a mapping of key paths to values, such as "
+                '{"run.duration": "2 s"}.'
+            )
+        written = scene_with(self._as_written(), values, self.folder)
+        written._path = self.path
+        return Scene.of(written, read=True)
+
+    def _as_written(self) -> Document:
+        """The document of the scene; that of its resolved values if these are not those of the document, as
+        in a copy by `model_copy`."""
+        if self._document is not None:
+            read = Scene.of(scene_in(self._document, folder=self.folder), read=True)
+            if read.to_dict() == self.to_dict():
+                return self._document
+        return document_of(self.to_dict())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the scene as YAML with all defaults, in SI units; `load_scene` reads an equal scene from the
@@ -200,7 +230,7 @@ class FrozenDict(dict[str, Any]):
     """A mapping that cannot be changed; its deep copies can."""
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
-        raise TypeError("A scene is immutable: use Scene.from_dict, or model_copy for another scene.")
+        raise TypeError("A scene is immutable: use with_values or Scene.from_dict for another scene.")
 
     __setitem__ = __delitem__ = __ior__ = _refuse
     clear = pop = popitem = setdefault = update = _refuse

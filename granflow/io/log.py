@@ -18,7 +18,7 @@ from typing import Protocol
 from granflow.errors import GranflowError
 from granflow.io.files import read_text, separate_from_links, write_text
 from granflow.kernel_language import KERNELS
-from granflow.visible_text import VisibleFormatter
+from granflow.visible_text import VisibleFormatter, numbered
 
 LOG = "run.log"
 """Log of a run, for people: all entries."""
@@ -202,7 +202,22 @@ class RecordEntry:
     ended_by: str = ""
 
 
-def read_record(path: Path) -> list[RecordEntry]:
+class Record(list[RecordEntry]):
+    """Entries of the record of a run; its display is one line."""
+
+    def __repr__(self) -> str:
+        """Numbers of sessions, warnings and errors."""
+        starts = sum(entry.session is not None for entry in self)
+        levels = [entry.level for entry in self]
+        parts = [
+            numbered(starts, "session"),
+            numbered(levels.count("WARNING"), "warning"),
+            numbered(levels.count("ERROR"), "error"),
+        ]
+        return f"<Record: {', '.join(parts)}>"
+
+
+def read_record(path: Path) -> Record:
     """Entries of a record; empty if the file does not exist. Raises GranflowError if it cannot be read.
 
     Lines that are no entry are skipped: the last one of a session that was killed may be cut off.
@@ -210,10 +225,10 @@ def read_record(path: Path) -> list[RecordEntry]:
     try:
         lines = read_text(path).splitlines()
     except FileNotFoundError:
-        return []
+        return Record()
     except OSError as error:
         raise GranflowError(f"{path}: {error.strerror}.") from None
-    entries = []
+    entries = Record()
     for line in lines:
         with suppress(ValueError, TypeError):
             found = json.loads(line)

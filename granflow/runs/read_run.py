@@ -16,7 +16,7 @@ from granflow.geometry.sphere import sphere_mass
 from granflow.io.files import read_text, resolved
 from granflow.io.frames import frame_near, is_empty, listed_frames, read_mesh, require_directory
 from granflow.io.lock import locked
-from granflow.io.log import LOG, RECORD, RecordEntry, read_record
+from granflow.io.log import LOG, RECORD, Record, read_record
 from granflow.io.tables import TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh
 from granflow.load import Scene, load_scene
@@ -287,7 +287,7 @@ class Run:
         return float(self.series.time[-1]) if self.series is not None else None
 
     @cached_property
-    def record(self) -> list[RecordEntry]:
+    def record(self) -> Record:
         """Entries of `run.jsonl`: sessions, warnings and errors; empty without this file."""
         return read_record(self.directory / RECORD)
 

@@ -26,6 +26,7 @@ from granflow.schema.document import (
     Problem,
     SourcePosition,
     document_of,
+    node_of,
     parse,
 )
 from granflow.schema.messages import dotted, model_at, nearest, problem_at, problems_of, suggestion_sentence
@@ -120,6 +121,22 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
     scene._document = document
     scene._folder = folder or Path()
     return scene
+
+
+def scene_with(document: Document, values: Mapping[str, Any], folder: Path) -> SceneInput:
+    """The validated scene of a document, which does not change, with other values by key path.
+
+    Keys and values as for `load_scene` and `Scene.from_dict`. Raises the same errors as `scene_in`.
+    """
+    changed = replace(document, problems=list(document.problems))
+    for path, value in values.items():
+        keys = tuple(str(path).split("."))
+        position = SourcePosition(str(path))
+        try:
+            changed.root = _with(changed.root, keys, node_of(value, keys, changed), position, depth=0)
+        except _Refused as refusal:
+            changed.problems.append(Problem(position, str(refusal)))
+    return scene_in(changed, folder=folder)
 
 
 def in_file_order(problems: Iterable[Problem]) -> list[Problem]:

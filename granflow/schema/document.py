@@ -416,12 +416,12 @@ def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
     scene. Problems of the document: keys that are not text, and values of other types.
     """
     document = Document(root, Node(SourcePosition(root)), subject="the scene" if root == ROOT else root)
-    document.root = _node_of(data, (), document)
+    document.root = node_of(data, (), document)
     return document
 
 
-def _node_of(value: Any, path: KeyPath, document: Document) -> Node:
-    """The value at a path of keys and indices, and all values below it."""
+def node_of(value: Any, path: KeyPath, document: Document) -> Node:
+    """The value at a path of keys and indices, and all values below it; adds problems to the document."""
     position = _path_position(path, document.source)
     if isinstance(value, BaseModel):
         value = value.model_dump(by_alias=True, exclude_unset=True, exclude_none=True)
@@ -434,12 +434,12 @@ def _node_of(value: Any, path: KeyPath, document: Document) -> Node:
                 document.problems.append(Problem(position, f"the key {key!r} is not text; put it in quotes."))
             below = (*path, str(key))
             entries[str(key)] = MappingEntry(
-                _path_position(below, document.source), _node_of(each, below, document)
+                _path_position(below, document.source), node_of(each, below, document)
             )
         return Node(position, entries=entries)
     if isinstance(value, list | tuple):
         return Node(
-            position, items=[_node_of(each, (*path, index), document) for index, each in enumerate(value)]
+            position, items=[node_of(each, (*path, index), document) for index, each in enumerate(value)]
         )
     if isinstance(value, Path):
         value = str(value)

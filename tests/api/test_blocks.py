@@ -1,5 +1,6 @@
 """Scenes built in Python: blocks, the constructor of scenes, and scenes that are written and read again."""
 
+import json
 from copy import deepcopy
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 import granflow as gf
+from granflow.io.log import read_record
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 SHIPPED = sorted(path for path in SCENES.rglob("*.yaml") if path.parent.name not in ("sweeps", "calibration"))
@@ -132,3 +134,63 @@ def test_representations_show_given_values_only():
     )
     assert "&lt;b&gt;A &amp; B&lt;/b&gt;" in scene._repr_html_() and "<b>" not in scene._repr_html_()
     assert deepcopy(scene) == scene
+
+
+def test_dictionary_of_a_scene_is_plain_data_for_json():
+    """Lists, not tuples: JSON reads back exactly the same, and the scene is equal."""
+    scene = gf.Scene(**blocks())
+    found = scene.to_dict()
+    assert json.loads(json.dumps(found)) == found and isinstance(found["gravity"], list)
+    assert gf.Scene.from_dict(json.loads(json.dumps(found))) == scene
+
+
+def test_with_values_is_the_scene_with_overrides():
+    """Equal to the file read with the same overrides; the first scene does not change."""
+    scene = gf.load_scene(SCENES / "hopper.yaml")
+    before = scene.to_yaml()
+    found = scene.with_values(
+        {"particles.beads.count": 500, "run.velocity_max": "3 m/s", "stages.2.duration": 2}
+    )
+    overrides = ["particles.beads.count=500", "run.velocity_max=3 m/s", "stages.2.duration=2"]
+    assert found == gf.load_scene(SCENES / "hopper.yaml", overrides)
+    assert scene.to_yaml() == before and found.path == scene.path
+    assert found.with_values({"seed": 2}).particles["beads"].count == 500
+    assert scene.with_values({}) == scene
+
+
+def test_with_values_keeps_changes_of_a_copy():
+    scene = gf.load_scene(SCENES / "hopper.yaml").model_copy(update={"seed": 7})
+    found = scene.with_values({"title": "b"})
+    assert (found.seed, found.title) == (7, "b")
+
+
+def test_counts_follow_new_values():
+    """The number of particles of a mass is that of the new mass: 4 mm spheres of 2500 kg/m3."""
+    ball = np.pi / 6.0 * 0.004**3 * 2500.0
+    region = {"box": {"min": [-0.1] * 3, "max": [0.1] * 3}}
+    group = {
+        "material": "glass",
+        "mass": 100.2 * ball,
+        "diameter": 0.004,
+        "insert": {"kind": "pack", "region": region},
+    }
+    scene = gf.Scene(**blocks(particles={"balls": group}))
+    assert scene.with_values({"particles.balls.mass": 50.2 * ball}).particles["balls"].count in (50, 51)
+    assert scene.particles["balls"].count in (100, 101)
+
+
+def test_with_values_refuses_what_the_scene_refuses():
+    scene = gf.Scene(**blocks())
+    found = problems(scene.with_values, {"run.duration": -1, "run.durration": 2, "walls.drumm.radius": 1})
+    assert any("run.duration is -1, but" in each for each in found)
+    assert any("run.durration is not a known key. Did you mean duration?" in each for each in found)
+    assert any("walls.drumm is not in the scene. Did you mean drum?" in each for each in found)
+    with pytest.raises(gf.GranflowError, match="values is 5, but must be a mapping of key paths to values"):
+        scene.with_values(5)
+
+
+def test_record_of_a_run_is_shown_in_one_line(tmp_path):
+    entries = [{"time": "t", "level": "WARNING", "text": "x"}, {"time": "t", "level": "ERROR", "text": "y"}]
+    (tmp_path / "run.jsonl").write_text("\n".join(map(json.dumps, entries)) + "\n")
+    assert repr(read_record(tmp_path / "run.jsonl")) == "<Record: 0 sessions, 1 warning, 1 error>"
+    assert repr(read_record(tmp_path / "none.jsonl")) == "<Record: 0 sessions, 0 warnings, 0 errors>"

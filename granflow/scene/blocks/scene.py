@@ -328,8 +328,8 @@ class SceneInput(Model):
         return yaml_text(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """The resolved scene as nested dictionaries with all defaults, in SI units; keys are those of a scene
-        file.
+        """The resolved scene as nested dictionaries and lists with all defaults, in SI units; keys are those
+        of a scene file.
 
         `granflow.Scene.from_dict` makes an equal scene of it.
         """
@@ -339,7 +339,7 @@ class SceneInput(Model):
         found = SceneInput.__pydantic_serializer__.to_python(
             self, by_alias=True, exclude_none=True, warnings=False
         )
-        return cast("dict[str, Any]", found)
+        return cast("dict[str, Any]", _with_lists(found))
 
     def is_given(self, *key_path: str | int) -> bool:
         """Whether the file or an override gives this key; False for values from a default or a preset.
@@ -366,3 +366,10 @@ class SceneInput(Model):
         if self._document is None:
             return self.path.name or "scene"
         return self._document.where(path_in_file(self._document, key_path))
+
+
+def _with_lists(value: Any) -> Any:
+    """Plain data with lists in place of tuples, as JSON and YAML have them."""
+    if isinstance(value, dict):
+        return {key: _with_lists(each) for key, each in value.items()}
+    return [_with_lists(each) for each in value] if isinstance(value, list | tuple) else value
