@@ -228,10 +228,12 @@ def convert(
     after:  scripts whose restart file the next one reads; the last one writes that of the script
     """
     settings = dict(given or {})
+    commands, fixes = all_commands(), all_fixes()
+    unneeded = {name for name, each in commands.items() if each.is_unneeded}
     if code is None:
         try:
             first = [*after, path][0]
-            code = code_of(first, Interpreter(given=settings).commands(first))
+            code = code_of(first, Interpreter(given=settings, unneeded=unneeded).commands(first))
         except GranflowError:
             code = "lammps"  # the same error follows below, with its line
     report = Report()
@@ -245,8 +247,6 @@ def convert(
         else:
             report.entry(command).not_needed("executed: the scene has the result")
 
-    commands, fixes = all_commands(), all_fixes()
-    unneeded = {name for name, each in commands.items() if each.is_unneeded}
     interpreter = Interpreter(given=settings, unneeded=unneeded, on_executed=executed)
     deck = Deck(code, interpreter, report)
     interpreter.on_result = lambda where, condition: waiting.decide(deck, where, condition)
@@ -276,6 +276,7 @@ def _read(
     deck.family["folder"] = path.parent
     for command in deck.interpreter.commands(path):
         if "cleared" in deck.family:
+            deck.family["cleared"].remarks.clear()
             deck.family["cleared"].impossible(
                 "a second simulation in one script",
                 "a script for each, or one value for the variable of its loop (--set NAME=VALUE)",

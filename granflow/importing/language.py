@@ -11,7 +11,7 @@ import operator
 import random
 import re
 from collections.abc import Callable, Container, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from granflow.errors import GranflowError
@@ -350,8 +350,30 @@ class Interpreter:
                 self._stopped = True
             case "shell" | "python" | "partition":
                 pass  # reported above
+            case "run" if "every" in words:
+                yield from self._run_every(command, line, path, depth)
             case _:
                 yield command
+
+    def _run_every(self, command: Command, line: Line, path: Path, depth: int) -> Iterator[Command | Path]:
+        """run N ... every M COMMANDS: parts of M steps, each followed by the commands; NULL for none."""
+        words = command.words
+        at = words.index("every")
+        if len(words) < at + 3 or not all(is_number(each) for each in (words[0], words[at + 1])):
+            raise DeckError(command, "the form is run N every M COMMAND ..., or NULL for no command.")
+        total, part = int(float(words[0])), int(float(words[at + 1]))
+        if part <= 0:
+            raise DeckError(command, f"every is {part}; give a number of steps of at least 1.")
+        given = [each for each in words[at + 2 :] if each != "NULL"]
+        if all(each.split()[:1] in ([], ["print"], ["log"], ["echo"]) for each in given):
+            yield replace(command, words=words[:at])
+            return
+        if "upto" in words[:at]:
+            raise DeckError(command, "every cannot be combined with upto; give the number of steps.")
+        for done in range(0, total, part):
+            yield replace(command, words=(str(min(part, total - done)), *words[1:at]))
+            for each in given:
+                yield from self._execute(Line(line.file, line.line, each), path, depth)
 
     def _need(self, command: Command, count: int, form: str) -> None:
         if len(command.words) < count:

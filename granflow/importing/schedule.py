@@ -58,9 +58,6 @@ def run(deck: Deck, command: Command, entry: Entry) -> None:
             words.word("yes or no")
         elif keyword in ("start", "stop"):
             words.whole("a step")
-        elif keyword == "every":
-            words.skip()
-            entry.impossible("commands during a run (run every)", "split the run")
         else:
             raise DeckError(command, f"run has no keyword {keyword}; it has upto, start, stop, pre and post.")
     if deck.time_step is None:
@@ -619,6 +616,8 @@ COMMANDS: dict[str, Translation] = {
     "comm_modify": not_needed(_COMMUNICATION),
     "comm_style": not_needed(_COMMUNICATION),
     "processors": not_needed(_COMMUNICATION),
+    "partitioner_style": not_needed(_COMMUNICATION),
+    "thermo_log": not_needed("text of the code"),
     "balance": not_needed(_COMMUNICATION),
     "package": not_needed("settings of accelerators"),
     "suffix": not_needed("settings of accelerators"),

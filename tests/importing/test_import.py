@@ -888,3 +888,8 @@ def test_guide(tmp_path):
 def test_clear_before_or_after_the_simulation_is_not_needed(tmp_path, text):
     found, _ = imported(tmp_path, text.format(liggghts()))
     assert found.report.is_complete and remarks(found, "clear")[0][0] == "not needed"
+
+
+def test_code_of_a_script_whose_first_line_has_a_variable_of_the_command_line(tmp_path):
+    found, _ = imported(tmp_path, "processors ${X} 1 1\n" + liggghts())
+    assert found.code == "liggghts" and found.report.is_complete

@@ -69,6 +69,12 @@ def test_formula_without_value(formula):
         ("print 'the rate is ${n}'\nx 1", [["x", "1"]]),
         ("variable a equal c_1\nvariable b equal 2*${a}\nprint 'it is ${b} and $(v_a+1)'\nx 1", [["x", "1"]]),
         ("variable a world 1 2\nx $a", [["x", "1"]]),
+        ("run 10 every 5 NULL", [["run", "10"]]),
+        ("run 10 pre no every 5 'print a'", [["run", "10", "pre", "no"]]),
+        (
+            "variable a equal 1\nrun 5 every 2 'x $a' 'variable a equal $a+1'",
+            [["run", "2"], ["x", "1"], ["run", "2"], ["x", "2"], ["run", "1"], ["x", "3"]],
+        ),
     ],
 )
 def test_commands(tmp_path, text, expected):
@@ -121,6 +127,8 @@ def test_all_missing_variables_are_named(tmp_path):
         ("print '${none}'", 1, "there is no variable none"),
         ('if "c_1 > 2" then "x 1"', 1, "cannot be decided"),
         ('if "1 > 2"', 1, "the form is"),
+        ("run 5 every 0 'x 1'", 1, "every is 0"),
+        ("run 5 every 2", 1, "the form is run N every M"),
         ("variable a loop x", 1, "the end of the loop is x"),
         ("variable a equal 3\nnext a", 2, "next takes index and loop"),
         ("variable v atom x\nx ${v}", 2, "one value per particle"),
