@@ -578,6 +578,11 @@ class Amount:
             + (f", and a batch passes in {lasting:.3g} s of every {every:.3g} s" if lasting < every else "")
         )
         box = np.array(deck.box or (-inf, inf) * 3).reshape(3, 2)
+        whole, face = face, face.within(box)
+        if not np.allclose(whole.extent(), face.extent()):
+            self.fix.entry.approximated(
+                "the face is cut at the box, outside of which the script inserts nothing"
+            )
         moved = face.moved(-min(radius, face.room(-face.normal, box)))
         return moved.enlarged(0.0 if given.all_in else radius, box).inlet(), radius / speed
 

@@ -559,6 +559,29 @@ class FlatFace:
             sides[k] = side + (before + after) * unit
         return replace(self, point=point, sides=sides)
 
+    def within(self, box: np.ndarray) -> "FlatFace":
+        """The face cut at a box (3, 2): a rectangle at its sides, a disc to a smaller one around its center.
+
+        The face itself if its center is outside.
+        """
+        if self.sides is None:
+            across = np.sqrt(np.maximum(0.0, 1.0 - self.normal**2))
+            room = np.abs(box - self.point[:, None]).min(axis=1)
+            inside = ((self.point > box[:, 0]) & (self.point < box[:, 1])).all()
+            limits = room[across > FLAT] / across[across > FLAT]
+            return replace(self, radius=min(self.radius, float(limits.min()))) if inside else self
+        point, sides = self.point.copy(), self.sides.copy()
+        for k, side in enumerate(self.sides):
+            length = float(np.linalg.norm(side))
+            axis = int(np.argmax(np.abs(side)))
+            if abs(side[axis]) < (1.0 - FLAT) * length:
+                continue  # not along an axis
+            ends = np.clip([point[axis], point[axis] + side[axis]], *box[axis])
+            if ends[0] == ends[1]:
+                return self
+            point[axis], sides[k] = ends[0], side / side[axis] * (ends[1] - ends[0])
+        return replace(self, point=point, sides=sides)
+
     def outlet(self) -> tuple[dict[str, Any], str]:
         """The keys of an outlet behind the face, and how it differs."""
         axis = int(np.argmax(np.abs(self.normal)))

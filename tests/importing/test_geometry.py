@@ -10,7 +10,7 @@ import yaml
 import granflow as gf
 from granflow.importing.convert import convert
 from granflow.importing.language import DeckError
-from granflow.importing.meshes import Mesh, flat_face
+from granflow.importing.meshes import FlatFace, Mesh, flat_face
 from granflow.plan.build import plan_for
 from granflow.scene.blocks.motions import poses_at
 from granflow.units import to_si
@@ -460,6 +460,22 @@ def test_flat_mesh_of_a_rectangle_in_parts(tmp_path, turn):
     expected = 0.02 * np.array([[0, 0], [2, 0], [0, 1], [2, 1]]) @ axes + [0.0, 0.0, 0.1]
     distance = np.linalg.norm(np.array(corners)[:, None] - expected[None], axis=2)
     assert distance.min(axis=0).max() < 1e-6 and distance.min(axis=1).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("face", "expected"),
+    [
+        (FlatFace(np.array([0.02, -0.01, 0.1]), np.array([0.0, 0.0, -1.0]), np.array([[0, 0.05, 0], [0.02, 0, 0]]), 0.0, 1.0),
+         [[0.02, 0.04], [0.0, 0.03], [0.1, 0.1]]),
+        (FlatFace(np.array([0.02, 0.01, 0.1]), np.array([0.0, 0.0, -1.0]), None, 0.02, 1.0),
+         [[0.01, 0.03], [0.0, 0.02], [0.1, 0.1]]),
+        (FlatFace(np.array([0.02, 0.02, 0.1]), np.array([0.0, 0.0, -1.0]), None, 0.01, 1.0),
+         [[0.01, 0.03], [0.01, 0.03], [0.1, 0.1]]),
+    ],
+)  # fmt: skip
+def test_face_is_cut_at_the_box(face, expected):
+    box = np.array([[0.0, 0.04], [0.0, 0.03], [0.0, 0.2]])
+    np.testing.assert_allclose(face.within(box).extent(), expected, atol=1e-12)
 
 
 def test_mesh_of_a_wall_does_not_end_before_it(tmp_path, square):
