@@ -263,6 +263,11 @@ def _mesh_wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
                     f"n_meshes is {number} (meshes {' '.join(words.rest)}): n_meshes N meshes NAME ...",
                 )
             meshes = [words.mesh() for _ in range(count)]
+            if words.next in deck.fixes and deck.fixes[words.next].style.startswith("mesh/surface"):
+                raise DeckError(
+                    words.command,
+                    f"n_meshes is {count}, but the mesh {words.next} follows; give {count + 1}.",
+                )
         elif key in ("store_force", "store_force_contact", "store_force_contact_stress"):
             if words.flag(key):
                 fix.entry.approximated("output.contacts has the force of each contact with a wall")

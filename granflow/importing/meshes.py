@@ -104,6 +104,7 @@ IGNORED = {
     "min_feature_length": 1,
     "mass_temperature": 1,
     "stress": 1,
+    "start_step_ave": 1,
 }
 """Keywords of meshes without counterpart, because granflow does without, with the number of their words."""
 

@@ -644,6 +644,7 @@ FIXES: dict[str, Translation] = {
     "ave/spatial": not_needed("output.fields has averages on a grid"),
     "ave/chunk": not_needed("output.fields has averages on a grid"),
     "ave/euler": not_needed("output.fields has averages on a grid"),
+    "store/state": not_needed("the particle files have the state at the start"),
     "ave/correlate": not_needed("it follows from timeseries.csv"),
     "remove": impossible(
         "particles that are removed at a rate", "outlets of the scene, or delete of a stage (fraction)"
@@ -666,7 +667,10 @@ FIXES: dict[str, Translation] = {
         ("temp/berendsen", "temp/rescale", "langevin", "nvt", "nvt/sphere"),
         impossible("a thermostat", "thermal: {velocity_rms: V} of a group at the start, or damping.drag"),
     ),
-    "couple/cfd": impossible("coupling with a fluid", "a Python program that adds forces"),
+    **dict.fromkeys(
+        ("couple/cfd", "couple/cfd/force", "couple/cfd/force/implicit", "couple/cfd/convection"),
+        impossible("coupling with a fluid", "a Python program that adds forces"),
+    ),
     "external": impossible("forces of another program", "a Python program that adds forces"),
     "nve/superquadric": impossible("superquadrics", "clumps of spheres: particles.NAME.clump"),
     "nve/asphere": impossible("ellipsoids", "clumps of spheres: particles.NAME.clump"),

@@ -478,6 +478,12 @@ def test_face_is_cut_at_the_box(face, expected):
     np.testing.assert_allclose(face.within(box).extent(), expected, atol=1e-12)
 
 
+def test_more_meshes_than_given(tmp_path, square):
+    meshes = f"fix a all {square}\nfix b all {square}\nfix w all {GRANULAR} mesh n_meshes 1 meshes a b\n"
+    with pytest.raises(DeckError, match="n_meshes is 1, but the mesh b follows; give 2"):
+        imported(tmp_path, liggghts(f"{meshes}run 9"))
+
+
 def test_mesh_of_a_wall_does_not_end_before_it(tmp_path, square):
     with pytest.raises(DeckError, match="fix w uses the mesh cad; unfix w before it"):
         imported(tmp_path, liggghts(f"fix cad all {square}\n{MOVED}run 9\nunfix cad\nrun 9"))
