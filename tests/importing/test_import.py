@@ -103,7 +103,8 @@ def remarks(found, part):
         ({"units": "cgs"}, "domain.max", ["1 mm", "1 mm", "2 mm"]),
         ({"units": "micro"}, "materials.type2.young_modulus", "10 GPa"),  # 1e7 pg/(um us2)
         ({"units": "micro"}, "run.time_step", "0.01 ns"),
-        ({}, "domain.on_exit", "error"),
+        ({}, "domain.on_exit", "delete"),  # LIGGGHTS has no error for lost particles unless it is given
+        ({"end": "thermo_modify lost error\nrun 10"}, "domain.on_exit", "error"),
         ({"end": "thermo_modify lost ignore\nrun 10"}, "domain.on_exit", "delete"),
         ({"end": "boundary p f m\nrun 10"}, "domain.periodic", ["x"]),
         ({}, "walls.w.material", "type2"),
