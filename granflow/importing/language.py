@@ -29,6 +29,8 @@ OWN = {*("variable", "include", "jump", "label", "echo", "log", "print", "info",
 """Commands of the language itself."""
 FILES_ONLY = ("dump", "restart", "write_dump", "write_restart", "write_data", "log", "echo", "shell")
 """Commands whose names of files a scene does not need."""
+USED = re.compile(r"\$\{(\w+)\}|\$(\w)|\bv_(\w+)")
+"""A variable in a line."""
 LOOPED = ("index", "loop", "string", "universe", "uloop", "world")
 """Styles of variables whose values are texts."""
 
@@ -272,7 +274,7 @@ class Interpreter:
                     words[0] = "1 == 1" if decided else "1 == 0"
                 words = [self._substitute(each) for each in words]
             except NotKnown as error:
-                raise DeckError(line, f"{error}; {self._remedy(line.file)}") from None
+                raise DeckError(line, f"{error}; {self._remedy(line)}") from None
             except ValueError as error:
                 raise DeckError(line, f"the bracket of {error} is not closed.") from None
             for chosen in self._branch(line, words):
@@ -300,7 +302,7 @@ class Interpreter:
         words = line.text.split()
         command = Command(words[0], tuple(words[1:]), line.file, line.line, " ".join(words))
         if not error.is_result or line.head not in ("print", "variable") or len(words) < 2:
-            raise DeckError(line, f"{error}; {self._remedy(line.file)}") from None
+            raise DeckError(line, f"{error}; {self._remedy(line)}") from None
         if line.head == "variable" and words[1] not in self.given:
             self.variables[words[1]] = Variable("result", [str(error)])
         self.on_executed(command, "")
@@ -313,15 +315,27 @@ class Interpreter:
         except (NotKnown, ValueError):
             return word
 
-    def _remedy(self, file: Path) -> str:
-        """How to give variables: all that the file uses, but neither it nor a file before has defined."""
-        text = "\n".join(line.text for line in self._read(file, None))
-        used = re.findall(r"\$\{(\w+)\}|\$(\w)|\bv_(\w+)", text)
+    def _remedy(self, line: Line) -> str:
+        """How to give variables: those of the line that are results of the simulation, or all that the file
+        uses, but neither it nor a file before has defined."""
+        results = dict.fromkeys(filter(self._is_result, map("".join, USED.findall(line.text))))
+        if results:
+            return f"give the value with --set {next(iter(results))}=VALUE."
+        text = "\n".join(each.text for each in self._read(line.file, None))
+        used = USED.findall(text)
         defined = {*re.findall(r"^\s*variable\s+(\w+)", text, re.MULTILINE), *self.variables}
         missing = [name for name in dict.fromkeys("".join(each) for each in used) if name not in defined]
         if len(missing) < 2:
             return "give it with --set NAME=VALUE."
         return f"give {', '.join(missing[:-1])} and {missing[-1]} with --set NAME=VALUE, once for each."
+
+    def _is_result(self, name: str) -> bool:
+        """Whether only the simulation gives the value of a variable."""
+        try:
+            self.text_of(name)
+        except NotKnown as error:
+            return error.is_result
+        return False
 
     def _own(self, command: Command, line: Line, path: Path, depth: int) -> Iterator[Command | Path]:
         """Execute a command of the language, or yield it."""
@@ -435,7 +449,7 @@ class Interpreter:
                 return f"({self._formulas(variable.text)})"
             return self.text_of(name)
 
-        return re.sub(r"\$\{(\w+)\}|\$(\w)|\bv_(\w+)", value, text)
+        return USED.sub(value, text)
 
     # Variables
 

@@ -123,7 +123,11 @@ def test_all_missing_variables_are_named(tmp_path):
         ("include in.deck", 1, "include each other"),
         ("variable a getenv HOME", 1, "--set a=VALUE"),
         ("variable a wonder 1 2", 1, "style wonder"),
-        ("variable a equal c_1\nvariable b equal 2*${a}\nrun ${b}", 3, "c_1 is a result of the simulation"),
+        (
+            "variable a equal c_1\nvariable b equal 2*${a}\nrun ${b}",
+            3,
+            "c_1 is a result of the simulation; give the value with --set b=VALUE",
+        ),
         ("print '${none}'", 1, "there is no variable none"),
         ('if "c_1 > 2" then "x 1"', 1, "cannot be decided"),
         ('if "1 > 2"', 1, "the form is"),
