@@ -15,6 +15,8 @@ HEAT = ("heat/gran", "heat/gran/conduction")
 """Styles of fixes that conduct heat."""
 CONDUCTANCE = sqrt(2.0 * pi)
 """Conductance of a contact in LIGGGHTS over that of granflow at the same conductivity."""
+LEAST_CONDUCTIVITY = 1e-9
+"""Conductivity [W/m/K] of a material that conducts no heat in the script; that of still air is 0.03."""
 KEYS = {
     "thermalConductivity": ("thermal_conductivity", "W/m/K", CONDUCTANCE),
     "thermalCapacity": ("heat_capacity", "J/kg/K", 1.0),
@@ -74,6 +76,9 @@ def build(deck: Deck, draft: Draft) -> None:
                 continue
             if found is not None:
                 value = found.of(max(1, types[name])) * factor
+                if key == "thermal_conductivity" and value == 0.0:
+                    value = LEAST_CONDUCTIVITY
+                    found.entry.approximated(f"{name} has the conductivity {value:g} W/m/K in place of 0")
                 material[key] = f"{number(value)} {unit}"
     if "thermalConductivity" in properties:
         properties["thermalConductivity"].entry.approximated(

@@ -493,6 +493,21 @@ def test_heat(tmp_path):
     assert float(material["thermal_conductivity"].split()[0]) == pytest.approx(50 * sqrt(2 * pi))
 
 
+def test_material_that_conducts_no_heat(tmp_path):
+    """A scene needs a conductivity above 0; that of the importer is 3e7 times smaller than that of still air."""
+    properties = (
+        "fix h1 all property/global thermalConductivity peratomtype 0 50\n"
+        "fix h2 all property/global thermalCapacity peratomtype 10 20\n"
+        "fix h3 all heat/gran initial_temperature 300"
+    )
+    found, scene = imported(tmp_path, liggghts(properties=properties))
+    assert scene["materials"]["type1"]["thermal_conductivity"] == "1e-09 W/m/K"
+    kind, sentence = remarks(found, "thermalConductivity")[0]
+    assert kind == "approximated" and "type1 has the conductivity 1e-09 W/m/K in place of 0" in sentence
+    (tmp_path / "scene.yaml").write_text(found.text)
+    gf.load_scene(tmp_path / "scene.yaml")
+
+
 BRIDGES = """fix l1 all property/global surfaceLiquidContentInitial scalar 0.002
 fix l2 all property/global surfaceTension scalar 0.072
 fix l3 all property/global fluidViscosity scalar 1e-3
