@@ -209,10 +209,13 @@ class Interpreter:
 
     def __post_init__(self) -> None:
         self._random = random.Random(1)
+        self._folder = Path()
         self.begin_script()
 
     def commands(self, path: Path, depth: int = 0, origin: "Line | None" = None) -> Iterator[Command]:
         """Commands of a file in the order of execution. Raises DeckError."""
+        if depth == 0:
+            self._folder = path.parent
         if depth > MOST_INCLUDES and origin is not None:
             raise DeckError(origin, f"{MOST_INCLUDES} files include each other; remove the circle.")
         lines = self._read(path, origin)
@@ -231,6 +234,13 @@ class Interpreter:
                         lines = self._read(path, line)
                     index = 0 if self._seek is None else self._label(lines, line)
                     break
+
+    def _file(self, name: str, near: Path) -> Path:
+        """A file that a script names: from the folder of the script, where the codes are started, or else
+        next to the file `near` that names it."""
+        found = self._folder / name
+        neighbor = near.parent / name
+        return neighbor if neighbor.exists() and not found.exists() else found
 
     def begin_script(self) -> None:
         """Forget the variables of the script before, as another run of the code does."""
@@ -348,12 +358,12 @@ class Interpreter:
                 self._variable(command)
             case "include":
                 self._need(command, 1, "include FILE")
-                yield from self.commands(path.parent / words[0], depth + 1, line)
+                yield from self.commands(self._file(words[0], path), depth + 1, line)
             case "jump":
                 self._need(command, 1, "jump FILE or jump SELF LABEL")
                 if not self._is_exhausted:
                     self._seek = words[1] if len(words) > 1 else None
-                    yield path if words[0] == "SELF" else path.parent / words[0]
+                    yield path if words[0] == "SELF" else self._file(words[0], path)
                 self._is_exhausted = False
             case "label" | "echo" | "log" | "print" | "info":
                 if command.name == "print":
@@ -411,6 +421,10 @@ class Interpreter:
 
     def condition(self, text: str) -> bool:
         """Truth of a condition of `if`: numbers or texts that are compared, and combinations."""
+        if "(" not in text:
+            for symbol, combined in (("||", any), ("&&", all)):
+                if symbol in text:
+                    return combined(self.condition(each) for each in text.split(symbol))
         for symbol in ("==", "!="):
             left, found, right = text.partition(symbol)
             if found and not any(each in text for each in ("&&", "||", "|^", "<", ">", "(")):
@@ -482,7 +496,7 @@ class Interpreter:
         elif style == "world":  # one of several simulations at once: the first
             self.variables[name] = Variable("string", values[:1])
         elif style == "file":
-            path = Path(command.file).parent / values[0]
+            path = self._file(values[0], command.file)
             try:
                 lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
             except OSError as error:

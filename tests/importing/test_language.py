@@ -69,6 +69,9 @@ def test_formula_without_value(formula):
         ("print 'the rate is ${n}'\nx 1", [["x", "1"]]),
         ("variable a equal c_1\nvariable b equal 2*${a}\nprint 'it is ${b} and $(v_a+1)'\nx 1", [["x", "1"]]),
         ("variable a world 1 2\nx $a", [["x", "1"]]),
+        ('variable m string a\nif "$m == a && 1 < 2" then "x 1"', [["x", "1"]]),
+        ('variable m string a\nif "$m == b && 1 < 2 || $m == a" then "x 1" else "x 2"', [["x", "1"]]),
+        ('variable m string a\nif "$m != a || 3 < 2" then "x 1" else "x 2"', [["x", "2"]]),
         ("run 10 every 5 NULL", [["run", "10"]]),
         ("run 10 pre no every 5 'print a'", [["run", "10", "pre", "no"]]),
         (
@@ -90,6 +93,15 @@ def test_given_variables_have_priority(tmp_path):
 def test_include(tmp_path):
     (tmp_path / "inner").write_text("variable k equal 4\nx $k\n")
     assert commands(tmp_path, "include inner\ny $k") == [["x", "4"], ["y", "4"]]
+
+
+@pytest.mark.parametrize("name", ["parts/inner", "inner"])
+def test_include_of_an_included_file(tmp_path, name):
+    """The codes take names from the folder where they are started; next to the file is taken as well."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "outer").write_text(f"include {name}\ny 2\n")
+    (tmp_path / "parts" / "inner").write_text("x 1\n")
+    assert commands(tmp_path, "include parts/outer") == [["x", "1"], ["y", "2"]]
 
 
 def test_variable_with_the_lines_of_a_file(tmp_path):
