@@ -392,7 +392,7 @@ def fix_modify(deck: Deck, command: Command, entry: Entry) -> None:
 def _target_now(given: Mesh, at_rest: bool = True) -> float | None:
     """The target at the present line; with `at_rest` False the last one that is a number."""
     targets = [given.servo.get("target_val"), *(value for _, value in given.changes)]
-    return targets[-1] if at_rest else next(each for each in reversed(targets) if each is not None)
+    return targets[-1] if at_rest else next((each for each in reversed(targets) if each is not None), None)
 
 
 def measure(draft: Draft, mesh: Fix, wall: str) -> None:

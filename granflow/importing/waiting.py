@@ -16,7 +16,7 @@ from math import pi
 from typing import Any
 
 from granflow.importing.deck import Deck, Run
-from granflow.importing.language import NotKnown
+from granflow.importing.language import DeckError, NotKnown
 from granflow.importing.meshes import Mesh
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantity
@@ -133,6 +133,8 @@ def build(deck: Deck, draft: Draft) -> None:
     """End stages on the conditions of loops, and let what follows them begin with its stage."""
     loops: list[Loop] = deck.own("loops", list)
     for loop in loops:
+        if not deck.particles:
+            raise DeckError(loop.entry.command, "the loop waits for particles, but the script inserts none.")
         name = next(name for k, name in stage_names(deck).items() if deck.runs[k] is loop.runs[0])
         stage = next(each for each in draft.get("stages") if each["name"] == name)
         length = sum(run.end - run.start for run in loop.runs)

@@ -372,6 +372,14 @@ def test_servo_that_stops_and_changes_its_target(tmp_path, square):
     checked(tmp_path, found)
 
 
+def test_servo_without_a_target_that_stops(tmp_path, square):
+    style = square.replace("mesh/surface", "mesh/surface/stress/servo")
+    servo = "com 0 0 0 ctrlPV force axis 0 0 1 vel_max 0.2 kp 5"
+    runs = "fix_modify cad integrate stop\nrun 9\nfix_modify cad integrate start\nrun 9"
+    with pytest.raises(DeckError, match="a servo needs target_val"):
+        imported(tmp_path, liggghts(f"fix cad all {style} {servo}\n{MOVED}{runs}"))
+
+
 def test_servo_with_a_target_that_follows_a_variable(tmp_path, square):
     style = square.replace("mesh/surface", "mesh/surface/stress/servo")
     servo = "com 0 0 0 ctrlPV force axis 0 0 1 target_val -10 vel_max 0.2 kp 5"

@@ -123,6 +123,14 @@ def test_a_time_within_the_run_after_a_loop_is_not_possible(tmp_path):
     assert any("a time after a loop of unknown length" in e.sentence for e in found.report.entries)
 
 
+def test_a_loop_without_particles(tmp_path):
+    text = "\n".join(line for line in TEXT.splitlines() if "insert" not in line)
+    with pytest.raises(
+        DeckError, match=r"in\.wait:34: the loop waits for particles, but the script inserts none"
+    ):
+        imported(tmp_path, "${v} < 1", text=text)
+
+
 @pytest.mark.parametrize(
     "condition",
     ["${ke} > 1e-6", "${ke} < ${kin}", "${ke} < 1 && ${f} > 2", "temp < 3", "${vx} < 0.1", "${ke}+1 < 2"],
