@@ -217,13 +217,20 @@ STYLES: dict[str, Callable[[Deck, Fix, Words, str], Move]] = {
 
 
 def mesh_motions(deck: Deck, draft: Draft, mesh: Fix, wall: str) -> list[dict[str, Any]]:
-    """The key motion of a mesh, from all fixes move/mesh that move it."""
+    """The key motion of a mesh, from all fixes move/mesh that move it.
+
+    A later mesh of the same name, such as that of the next script, has its own moves.
+    """
     moves = [
         each
         for each in deck.fixes_of("move/mesh")
         if isinstance(each.data, Move) and each.data.mesh == mesh.name and deck.acting(each)
     ]
-    moves = [each for each in moves if each.start >= mesh.start - 1e-12]
+    moves = [
+        each
+        for each in moves
+        if each.start >= mesh.start - 1e-12 and (mesh.end is None or each.start < mesh.end - 1e-12)
+    ]
     motions: list[dict[str, Any]] = []
     turns: list[Fix] = []
     for fix in moves:

@@ -100,3 +100,22 @@ def test_command_line(tmp_path, capsys, monkeypatch):
     assert "in.shear:5: read_restart" in capsys.readouterr().out
     text = (tmp_path / "shear.yaml").read_text()
     assert "from in.fill and in.shear" in text and "# in.shear:14: fix floor" in text
+
+
+def test_mesh_that_turns_in_the_second_script_only_is_one_wall(tmp_path):
+    """The mesh of the first script is at rest and has no move of the second one, whose mesh has the same name."""
+    corners = "".join(f"vertex {x} {y} 0.1\n" for x, y in ((0, 0), (0.02, 0), (0, 0.02)))
+    stl = f"solid a\nfacet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\nendsolid a\n"
+    (tmp_path / "lid.stl").write_text(stl)
+    mesh = (
+        "fix lid all mesh/surface file lid.stl type 1\n"
+        "fix w all wall/gran model hertz tangential history mesh n_meshes 1 meshes lid\n"
+    )
+    second, first = scripts(tmp_path)
+    first.write_text(first.read_text().replace("fix p all", f"{mesh}fix p all"))
+    move = "fix mv all move/mesh mesh lid rotate origin 0 0 0 axis 0 0 1 period 2\nrun 20000"
+    second.write_text(second.read_text().replace("run 20000", f"{mesh}{move}"))
+    found = convert(second, after=[first])
+    scene = yaml.safe_load(found.text)
+    assert set(scene["walls"]) == {"floor", "side", "lid"} and "stages" not in scene["walls"]["lid"]
+    assert scene["walls"]["lid"]["motion"]["stages"] == ["stage_2"]
