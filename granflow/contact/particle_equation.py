@@ -100,12 +100,27 @@ class ParticleEquation(DeviceObject):
 
     @property
     def totals(self) -> tuple[Quantity, ...]:
-        """The mean of the property, weighted by the capacity; the content of all particles; and what has
-        changed it since the start, see CONTENT_CHANGES."""
+        """The mean of the property, weighted by the capacity; the content of all particles; what has changed
+        it since the start, see CONTENT_CHANGES; and the spread of the property, see `spread`."""
         if self.content is None:
             return ()
         mean = Quantity(f"{self.name}_mean", self.symbol, self.unit, f"{self.meaning}, mean by its capacity")
-        return mean, self.content, *(self.content_change(each) for each in CONTENT_CHANGES)
+        changes = (self.content_change(each) for each in CONTENT_CHANGES)
+        return mean, self.content, *changes, *self.spread
+
+    @property
+    def spread(self) -> tuple[Quantity, Quantity, Quantity]:
+        """Standard deviation of the property about its mean, weighted by the capacity, smallest and largest
+        value."""
+
+        def quantity(end: str, kind: str) -> Quantity:
+            return Quantity(f"{self.name}_{end}", "", self.unit, f"{self.meaning}, {kind}")
+
+        return (
+            quantity("deviation", "standard deviation over the particles by their capacity"),
+            quantity("smallest", "smallest of all particles"),
+            quantity("largest", "largest of all particles"),
+        )
 
     def content_change(self, change: str) -> Quantity:
         """The total of one of CONTENT_CHANGES; the equation has a content."""

@@ -451,7 +451,22 @@ def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) 
         total = exact_sum(capacity, ranks)
         mean, content_total, *_ = equation.totals
         found |= {mean.name: content / total if total else np.nan, content_total.name: content}
+        names = [each.name for each in equation.spread]
+        found |= dict(zip(names, _spread(arrays[equation.name], capacity, ranks), strict=True))
     return found
+
+
+def _spread(values: np.ndarray, capacity: np.ndarray, ranks: Gathering) -> tuple[float, float, float]:
+    """Standard deviation of values (n,), weighted by their capacity (n,), smallest and largest; NaN without
+    values."""
+    total = exact_sum(capacity, ranks)
+    if not total:
+        return np.nan, np.nan, np.nan
+    values = values.astype(float)
+    off = values - exact_sum(capacity * values, ranks) / total
+    variance = exact_sum(capacity * off**2, ranks) / total
+    smallest = -ranks.largest(float((-values).max(initial=-np.inf)))
+    return float(np.sqrt(variance)), smallest, ranks.largest(float(values.max(initial=-np.inf)))
 
 
 def _content(

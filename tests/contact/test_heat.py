@@ -164,7 +164,12 @@ def test_lines_of_spheres_conduct_as_the_closed_forms_say():
     capacities = np.full(len(found), CAPACITY)
     capacities[LENGTH + 1] = OTHER_CAPACITY
     assert totals["heat_content"] == pytest.approx(capacities @ found, rel=1e-13)
-    assert totals["temperature_mean"] == pytest.approx(np.average(found, weights=capacities), rel=1e-13)
+    mean = np.average(found, weights=capacities)
+    assert totals["temperature_mean"] == pytest.approx(mean, rel=1e-13)
+    assert totals["temperature_deviation"] == pytest.approx(
+        np.sqrt(np.average((found - mean) ** 2, weights=capacities)), rel=1e-12
+    )
+    assert (totals["temperature_smallest"], totals["temperature_largest"]) == (found.min(), found.max())
     of_walls = {name: value for name, value in totals.items() if name.startswith("wall_heat.")}
     assert set(of_walls) == {f"wall_heat.plate_{line}" for line in ("0_left", "0_right", "2_left", "3_right")}
     of_walls_now = {name: value for name, value in totals.items() if name.startswith("wall_heat_flow.")}
