@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.errors import GranflowError
-from granflow.taichi_patches import shorten_front_end
+from granflow.taichi_patches import shorten_front_end, shorten_front_end_of_quadrants
 
 VARIABLE = "GRANFLOW_KERNELS"
 """Environment variable that selects the kernel language."""
@@ -57,6 +57,8 @@ def __getattr__(name: str) -> Any:
         ) from None
     if KERNELS == "taichi":
         shorten_front_end(module.lang.kernel_impl, module.lang.struct)
+    else:
+        shorten_front_end_of_quadrants(module.lang)
     globals()["ti"] = module
     return module
 

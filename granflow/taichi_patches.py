@@ -1,9 +1,9 @@
 """Functions of Taichi that granflow replaces; no other module replaces any.
 
 Taichi 1.7 reads, formats and parses the source of every function again wherever it is inlined, which took
-longer than all other work of a start. `shorten_front_end` is applied when `kernel_language` imports Taichi,
-because it also concerns decorators; `prepare_program` is applied once per process before Taichi starts. The
-front end of Quadrants needs none of the former.
+longer than all other work of a start; Quadrants also transforms each kernel twice. `shorten_front_end` and
+`shorten_front_end_of_quadrants` are applied when `kernel_language` imports the module, because the former
+also concerns decorators; `prepare_program` is applied once per process before the first kernel is compiled.
 
     replaced                                        reason and gain
     kernel_impl.getsourcelines                      a hundredth of the time: no tokenizer
@@ -11,10 +11,15 @@ front end of Quadrants needs none of the former.
     kernel_impl.ast.parse, transform_tree           trees are used again; with the two above, half of the
                                                     time in which syntax trees are built
     kernel_impl._inside_class                       searches all modules for each decorator
+    Kernel._try_load_fastcache of Quadrants         the first of two transformations of each kernel finds the
+                                                    members of dataclasses that it reads: half of the time
+                                                    in which syntax trees are built
+    _func_base.get_source_info_and_src, textwrap    as getsourcelines and fill of Taichi
+    unpack_ast_struct_expressions of Quadrants      walks all trees for members of dataclasses
     inspect.modulesbyfile                           all modules are searched for the one that executes an
                                                     import: 0.3 s per start
     Struct._register_members                        makes a class per struct instead of one per kind
-    ASTTransformerContext.get_pos_info              formats the source of every node of every kernel, needed
+    get_pos_info of ASTTransformerContext           formats the source of every node of every kernel, needed
                                                     or not: 0.5 s per start
     get_traceback of impl, matrix and snode         formats the call stack of each field, which reads some 60
                                                     source files
@@ -61,6 +66,71 @@ def shorten_front_end(kernel_impl: Any, struct: Any) -> None:
     kernel_impl.textwrap = SimpleNamespace(fill=filled, dedent=textwrap.dedent)
     kernel_impl.ast = SimpleNamespace(parse=trees.parse)
     kernel_impl.transform_tree = trees.returning(kernel_impl.transform_tree)
+
+
+def shorten_front_end_of_quadrants(lang: Any) -> None:
+    """Make Quadrants read the source of each function once, and transform kernels of granflow once.
+
+    lang:  the package `quadrants.lang`, of whose modules names are replaced
+    """
+    kernel = lang.kernel_impl.Kernel  # the name `kernel` of the package is the decorator, not the module
+    kernel._try_load_fastcache = without_first_pass(kernel._try_load_fastcache)
+    read = lang._func_base.get_source_info_and_src
+    lang._func_base.get_source_info_and_src = source_reader(read, lang._wrap_inspect.FunctionSourceInfo)
+    lang._func_base.textwrap = SimpleNamespace(fill=filled, dedent=textwrap.dedent)
+    dataclasses = lang._kernel_impl_dataclass
+    dataclasses.unpack_ast_struct_expressions = if_any_member(dataclasses.unpack_ast_struct_expressions)
+
+
+def without_first_pass(load: Callable[..., Any]) -> Callable[..., Any]:
+    """Wraps `_try_load_fastcache`: the members of dataclasses that a kernel reads, None if they are unknown.
+
+    Kernels of granflow have no dataclass among their arguments.
+    """
+
+    def used_members(kernel: Any, arguments: tuple, key: Any) -> set[str] | None:
+        found = load(kernel, arguments, key)
+        if found is not None or not kernel.func.__code__.co_filename.startswith(PACKAGE):
+            return found
+        return kernel.used_py_dataclass_parameters_by_key_enforcing.setdefault(key, set())
+
+    return used_members
+
+
+def source_reader(
+    read: Callable[[Any], tuple[Any, list[str]]], place_of: Callable[..., Any]
+) -> Callable[[Any], tuple[Any, list[str]]]:
+    """Wraps `get_source_info_and_src` of Quadrants: place of a function, and its lines.
+
+    place_of:  makes a place of its names and line numbers
+    """
+    known: dict[Any, tuple[Any, list[str]]] = {}
+
+    def read_once(function: Any) -> tuple[Any, list[str]]:
+        code = function.__code__
+        if not code.co_filename.startswith(PACKAGE):
+            return read(function)
+        if code not in known:
+            lines, first = source_lines(function)
+            place = place_of(
+                function_name=function.__name__,
+                filepath=code.co_filename,
+                start_lineno=first,
+                end_lineno=first + len(lines) - 1,
+            )
+            known[code] = place, lines
+        return known[code]
+
+    return read_once
+
+
+def if_any_member(unpack: Callable[..., Any]) -> Callable[..., Any]:
+    """Wraps `unpack_ast_struct_expressions` (tree, members), which does nothing without members."""
+
+    def unpacked(tree: Any, struct_locals: set[str]) -> Any:
+        return unpack(tree, struct_locals) if struct_locals else tree
+
+    return unpacked
 
 
 def source_lines(function: Callable[..., Any]) -> tuple[list[str], int]:
@@ -183,13 +253,15 @@ def prepare_program(
     on_array:   called for each array that is allocated
     """
     program = taichi._lib.core.Program
+    contexts = taichi.lang.ast.ast_transformer_utils
     if is_quadrants:
         program.compile_kernel = in_context(program.compile_kernel)
+        contexts.ASTTransformerFuncContext.memoized_get_pos_info = position_in_source
     else:
         program.compile_kernel = guarded(program.compile_kernel)
-        taichi.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = position_in_source
-        for module in (taichi.lang.impl, taichi.lang.matrix, taichi.lang.snode):
-            module.get_traceback = _no_traceback
+        contexts.ASTTransformerContext.get_pos_info = position_in_source
+    for module in (taichi.lang.impl, taichi.lang.matrix, taichi.lang.snode):
+        module.get_traceback = _no_traceback
     finalize = taichi.FieldsBuilder._finalize
     create_ndarray = program.create_ndarray
 

@@ -21,9 +21,12 @@ from granflow.taichi_patches import (
     TreePool,
     end_of_function,
     filled,
+    if_any_member,
     inside_class,
     set_member_class,
     source_lines,
+    source_reader,
+    without_first_pass,
 )
 
 
@@ -129,6 +132,38 @@ def test_structs_with_equal_members_share_a_class():
     second.b = 2.0
     assert (first.a, first.b, second.b, other.c) == (1.0, 1.0, 2.0, 1.0)
     assert ti.Struct._register_members is set_member_class
+
+
+def kernel_of(function):
+    return SimpleNamespace(func=function, used_py_dataclass_parameters_by_key_enforcing={})
+
+
+@pytest.mark.parametrize(
+    ("function", "loaded", "expected"),
+    [(source_lines, None, set()), (source_lines, {"a"}, {"a"}), (kernel_of, None, None)],
+)
+def test_kernels_of_the_package_are_transformed_once(function, loaded, expected):
+    # None asks Quadrants for the first pass, which kernels of others with dataclasses need.
+    kernel = kernel_of(function)
+    assert without_first_pass(lambda kernel, arguments, key: loaded)(kernel, (), "key") == expected
+    assert kernel.used_py_dataclass_parameters_by_key_enforcing == (
+        {} if expected != set() else {"key": set()}
+    )
+
+
+def test_source_for_quadrants_is_that_of_inspect_and_read_once():
+    read = source_reader(lambda function: 1, SimpleNamespace)
+    place, lines = read(filled)
+    assert (lines, place.start_lineno) == inspect.getsourcelines(filled)
+    assert (place.function_name, place.filepath) == ("filled", taichi_patches.__file__)
+    assert place.end_lineno == place.start_lineno + len(lines) - 1
+    assert read(filled)[1] is lines
+    assert read(kernel_of) == 1
+
+
+def test_trees_are_searched_for_members_if_there_are_any():
+    unpacked = if_any_member(lambda tree, struct_locals: "searched")
+    assert (unpacked("tree", {"member"}), unpacked("tree", struct_locals=set())) == ("searched", "tree")
 
 
 class Kernel:
