@@ -10,6 +10,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -108,19 +109,23 @@ def add_kernels(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--kernels",
         choices=("taichi", "quadrants"),
-        help="language of the compute kernels (default: taichi where it is installed, up to Python 3.13)",
+        help="language of the compute kernels (default: quadrants if it is installed; on CUDA taichi)",
     )
 
 
 def select_kernels(options: argparse.Namespace) -> None:
     """Set the environment variable of --kernels, for this process and those that it starts.
 
-    Raises GranflowError if this process already uses another kernel language.
+    Without --kernels, CUDA is used with Taichi, with which all checks passed on a GPU. Raises GranflowError
+    if this process already uses another kernel language.
     """
     name = getattr(options, "kernels", None)
+    language = sys.modules.get("granflow.kernel_language")
+    on_cuda = getattr(options, "arch", "cpu") in ("gpu", "cuda")
+    if name is None and on_cuda and language is None and find_spec("taichi"):
+        name = os.environ.get("GRANFLOW_KERNELS") or "taichi"
     if name is None:
         return
-    language = sys.modules.get("granflow.kernel_language")
     if language is not None and name != language.KERNELS:
         raise GranflowError(f"--kernels {name}: this process already uses {language.KERNELS}.")
     os.environ["GRANFLOW_KERNELS"] = name

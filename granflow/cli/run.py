@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 EXIT_EXPECTATIONS_FAILED = 1
 """Exit code of a complete run with an expectation that is not satisfied."""
 LONG_RUN = 60.0
-"""Wall-clock time of steps [s] from which faster kernels outweigh a start that takes 1 to 2 s more."""
+"""Wall-clock time of steps [s] from which faster kernels are worth an installation."""
 
 # run
 

@@ -1,8 +1,13 @@
-"""The remark on processors that the compiler of Taichi does not know."""
+"""The choice of the kernel language, and the remark on processors that the compiler of Taichi does not know."""
+
+import os
+import sys
+from argparse import Namespace
 
 import pytest
 
 from granflow import kernel_language
+from granflow.cli.arguments import select_kernels
 
 ZEN_5 = "vendor_id\t: AuthenticAMD\ncpu family\t: 26\nmodel\t\t: 2\nmodel name\t: AMD EPYC\n"
 ZEN_4 = ZEN_5.replace(": 26", ": 25")
@@ -54,3 +59,49 @@ def test_processor_of_this_machine_is_read() -> None:
     """The text of the operating system has no surprise: its family is found or absent, without an error."""
     found = kernel_language.family_in(kernel_language.processor_text())
     assert found is None or found[1] > 0
+
+
+@pytest.mark.parametrize(
+    ("installed", "variable", "expected"),
+    [
+        ({"taichi"}, None, "taichi"),
+        ({"quadrants"}, None, "quadrants"),
+        ({"taichi", "quadrants"}, None, "quadrants"),
+        ({"taichi", "quadrants"}, "taichi", "taichi"),
+        (set(), "", "taichi"),  # whose absence is an error with the command that installs it
+    ],
+)
+def test_installed_quadrants_are_used(
+    installed: set[str], variable: str | None, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The extra selects its language; the environment variable overrides it."""
+    monkeypatch.setattr(kernel_language, "find_spec", lambda name: name if name in installed else None)
+    monkeypatch.delenv(kernel_language.VARIABLE, raising=False)
+    if variable is not None:
+        monkeypatch.setenv(kernel_language.VARIABLE, variable)
+    assert kernel_language._selected() == expected
+
+
+@pytest.mark.parametrize(
+    ("arch", "kernels", "variable", "expected"),
+    [
+        ("cpu", None, None, None),
+        ("vulkan", None, None, None),
+        ("cuda", None, None, "taichi"),
+        ("gpu", None, None, "taichi"),
+        ("cuda", "quadrants", None, "quadrants"),
+        ("cuda", None, "quadrants", "quadrants"),
+    ],
+)
+def test_cuda_is_used_with_taichi(
+    arch: str,
+    kernels: str | None,
+    variable: str | None,
+    expected: str | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All checks passed on a GPU with Taichi; the option and the variable override it."""
+    monkeypatch.delitem(sys.modules, "granflow.kernel_language")  # as before its first import
+    monkeypatch.setenv(kernel_language.VARIABLE, variable or "")
+    select_kernels(Namespace(arch=arch, kernels=kernels))
+    assert (os.environ[kernel_language.VARIABLE] or None) == expected

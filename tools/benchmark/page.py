@@ -98,8 +98,12 @@ Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ran
   four), Quadrants with LLVM 22 has vectors of eight. Medians on an idle machine, M particle-steps/s: Taichi (three rounds)
   one thread 10.7, 10.2, 7.9, hopper 8.2, two threads 17.7, 12.5, 14.5, hopper 13.9; Quadrants (two rounds, in turn with
   the peers of the table above) one thread 17.0, 15.1, 11.3, hopper 10.3, two threads 27.6, 23.4, 17.8, hopper 17.9, for 1000,
-  10000 and 50000 particles. `granflow run` says so at the end of a run of more than a minute. The start takes 1 to
-  2 s more with Quadrants 1.3.3 (hopper, compiled before: 3.8 s in place of 1.8 s), so that Taichi is the default.
+  10000 and 50000 particles. `granflow run` says so at the end of a run of more than a minute with Taichi.
+- **Start with Quadrants**: it transforms each kernel twice, the first time for dataclasses among the arguments, and reads
+  each function with the tokenizer. Without both, CPU time of a start of the hopper on Zen 3 (two runs each, loaded machine):
+  nothing compiled 11.3 and 13.5 s, Taichi 19.6 and 19.8 s; compiled before 6.0 and 6.9 s (14.1 s before the change), Taichi
+  6.1 and 6.0 s. CPU time of steps (hopper, 0.25 to 0.35 s, one thread, four pairs in turn): 9.5 to 10.1 s, Taichi 8.9 to
+  10.3 s. Quadrants is therefore used where it is installed.
 - **Order of the particles**: the order of cells in blocks of 8 x 8 x 8 puts as few pairs across chunks as the Hilbert curve
   and the Z-order curve within 1 to 3 points, for chunks of 512 to 4096. The curves would be another sort for no gain.
 - **Chunks of a worker**: workers that begin each phase with chunks of their own instead of the next one of all, so that
