@@ -230,6 +230,7 @@ def convert(
     settings = dict(given or {})
     commands, fixes = all_commands(), all_fixes()
     unneeded = {name for name, each in commands.items() if each.is_unneeded}
+    unneeded |= {f"fix {name}" for name, each in fixes.items() if each.is_unneeded}
     if code is None:
         try:
             first = [*after, path][0]

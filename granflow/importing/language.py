@@ -197,7 +197,7 @@ class Interpreter:
     variables: dict[str, Variable] = field(default_factory=dict)
     printed: list[str] = field(default_factory=list)
     unneeded: Container[str] = ()
-    """Names of further commands that a scene does not need."""
+    """Names of further commands that a scene does not need, and of fixes as `fix STYLE`."""
     on_executed: Callable[[Command, str], None] = lambda command, problem: None
     """Called with each executed command of the language, and why it has no counterpart (mostly empty)."""
     on_result: Callable[[tuple[str, int], str], bool | None] = lambda where, condition: None
@@ -294,7 +294,9 @@ class Interpreter:
             # print substitutes variables inside quotes as well
             text = self._substitute(line.text) if line.head == "print" else self._outside(line.text)
         except NotKnown as error:
-            if line.head not in FILES_ONLY and line.head not in self.unneeded:
+            words = line.text.split()
+            name = f"fix {words[3]}" if line.head == "fix" and len(words) > 3 else line.head
+            if name not in FILES_ONLY and name not in self.unneeded:
                 yield from self._unknown(line, error)
                 return
             text = " ".join(self._known_part(each) for each in line.text.split())

@@ -110,10 +110,13 @@ def test_variable_with_the_lines_of_a_file(tmp_path):
     assert commands(tmp_path, loop) == [["x", "0.1"], ["x", "0.2"]]
 
 
-@pytest.mark.parametrize("line", ["processors $n 1 1", "log ${file}.txt", "dump d all custom 10 a.${n} id"])
+@pytest.mark.parametrize(
+    "line",
+    ["processors $n 1 1", "fix b all balance $n x", "log ${file}.txt", "dump d all custom 10 a.${n} id"],
+)
 def test_unknown_variables_of_lines_that_a_scene_does_not_need(tmp_path, line):
     (tmp_path / "in.deck").write_text(f"variable m equal 2\n{line}\nx $m\n")
-    found = list(Interpreter(unneeded={"processors"}).commands(tmp_path / "in.deck"))
+    found = list(Interpreter(unneeded={"processors", "fix balance"}).commands(tmp_path / "in.deck"))
     assert found[-1].words == ("2",)
 
 
