@@ -1,4 +1,4 @@
-"""Differences between contact models: Welch's interval against scipy and its coverage, and verdicts of a
+"""Differences between contact models: Welch's interval against scipy and its coverage, and conclusions of a
 comparison with several seeds and with one."""
 
 import csv
@@ -33,14 +33,14 @@ def test_interval_contains_the_true_difference_in_95_percent_of_studies():
     assert inside / 1000 == pytest.approx(0.95, abs=0.03)
 
 
-@pytest.mark.parametrize(("first", "other", "verdict"), [
+@pytest.mark.parametrize(("first", "other", "conclusion"), [
     ([1.0, 1.01, 0.99], [2.0, 2.02, 1.98], "larger"), ([2.0, 2.02, 1.98], [1.0, 1.01, 0.99], "smaller"),
     ([1.0, 1.2, 0.8], [1.02, 1.2, 0.85], "not distinguishable"), ([1.0, 1.0], [1.0, 1.0], "equal"),
     ([1.0, 1.0], [1.1, 1.1], "larger"), ([-2.0, -2.1], [-1.0, -1.1], "larger"),
 ])  # fmt: skip
-def test_verdicts(first, other, verdict):
+def test_conclusions(first, other, conclusion):
     found = difference_of("x", "", ("a", "b"), Estimate.of(first), Estimate.of(other))
-    assert found.verdict == verdict
+    assert found.conclusion == conclusion
 
 
 def test_single_values_have_no_difference():

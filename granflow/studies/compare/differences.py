@@ -55,7 +55,7 @@ class Difference:
         return self.value / over, self.low / over, self.high / over
 
     @property
-    def verdict(self) -> str:
+    def conclusion(self) -> str:
         """What the interval shows."""
         if self.low > 0.0 or self.high < 0.0:
             return "larger" if self.value > 0.0 else "smaller"

@@ -213,7 +213,7 @@ def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
     if found.differences:
         tables["differences.csv"] = attribute_columns(
             found.differences,
-            ("quantity", "unit", "title", "first", "reference", "value", "low", "high", "verdict"),
+            ("quantity", "unit", "title", "first", "reference", "value", "low", "high", "conclusion"),
         )
     return tables | ({"collisions.csv": found.collisions} if found.collisions else {})
 
@@ -518,7 +518,7 @@ def differences_table(differences: Sequence[Difference]) -> PageTable:
                 f"{readable(each.low)} to {readable(each.high)}",
                 _signed_percent(value),
                 " to ".join(map(_signed_percent, bounds)),
-                each.verdict,
+                each.conclusion,
             ]
         )
     heads = ("", "model", f"minus\n{first}", "95 %\ninterval", "%", "95 %\ninterval, %", f"than\n{first}")
