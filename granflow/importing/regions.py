@@ -394,7 +394,8 @@ def lattice(deck: Deck, command: Command, entry: Entry) -> None:
         entry.impossible(f"the lattice {style}", f"one of {', '.join(BASIS)} and custom, or units box")
         words.skip()
         return
-    cell, origin = np.eye(3), np.zeros(3)
+    cell: np.ndarray = np.eye(3)
+    origin: np.ndarray = np.zeros(3)
     basis = list(BASIS.get(style, ()))
     while words:
         key = words.word("a keyword")

@@ -208,7 +208,7 @@ def lattice_points(deck: Deck, command: Command, region: Region | None) -> np.nd
         )
     unit = deck.si(1.0, "length")
     low, high = np.array(deck.box[::2]), np.array(deck.box[1::2])
-    around = np.array(
+    around: np.ndarray = np.array(
         extent_of(deck, region) if region and region.inside and not region.parts else deck.box
     ).reshape(3, 2)
     around = np.clip(around, low[:, None], high[:, None])
