@@ -22,7 +22,6 @@ from granflow.geometry.mesh_contact import (
 from granflow.geometry.mesh_file import RawTriangles
 from granflow.geometry.rows import expanded, row_entries, starts_of
 from granflow.geometry.surface import FAR_AWAY, Surface, Vector, boxes_overlap
-from granflow.geometry.vectors import distance_from_axis
 
 ANGLE_TOLERANCE = 1e-2
 """Sine of the angle below which a triangle counts as upright on a plane."""
@@ -90,10 +89,6 @@ class Mesh(Surface):
         """See `Surface`."""
         vertex = self.adjacency.vertex
         return distances(grid_over(vertex, reach), vertex, points)
-
-    def reach_about(self, point: Vector, axis: Vector) -> float:
-        """Largest distance [m] of a point of the mesh from the axis."""
-        return float(distance_from_axis(self.points, point, axis).max())
 
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """All triangles."""

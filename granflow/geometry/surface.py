@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from granflow.device_functions import DeviceObject, at_compile_time, ti
+from granflow.geometry.vectors import distance_from_axis
 
 FAR_AWAY = 1e9
 """Distance [m] returned if a surface does not own the contact, see `Surface.with_edge_owners`: larger than
@@ -63,12 +64,23 @@ class Surface:
         """
         raise NotImplementedError
 
+    def farthest_from(self, point: Vector, axis: Vector) -> float:
+        """Largest distance of its points from an axis; infinite for an unbounded surface.
+
+        `point`: on the axis; `axis`: unit vector.
+        """
+        return float(distance_from_axis(self.triangles(np.zeros(3), 0.0)[0], point, axis).max())
+
+    def turns_in_place(self, point: Vector, axis: Vector) -> bool:
+        """Whether a rotation about an axis through `point` maps the surface onto itself."""
+        return False
+
     def reach_about(self, point: Vector, axis: Vector) -> float:
         """Largest distance from an axis of geometry that moves when the wall rotates; may be infinite.
 
-        `point`: on the axis; `axis`: unit vector. 0 if the rotation maps the surface onto itself.
+        0 if the rotation maps the surface onto itself.
         """
-        raise NotImplementedError
+        return 0.0 if self.turns_in_place(point, axis) else self.farthest_from(point, axis)
 
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """Points (m, 3) and triangles (k, 3), indices of points, for visualization.

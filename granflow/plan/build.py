@@ -87,7 +87,8 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     # What is there: walls, particles, and how fast they meet.
     materials = _used_materials(scene)
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
-    impact_velocity = max_impact_velocity(scene)
+    refuse_infinite_rotations(scene, walls)
+    impact_velocity = max_impact_velocity(scene, walls)
     velocity = impact_velocity.value
     groups = tuple(groups_of(scene).values())
     particle_count = sum(group.sphere_count for group in scene.particles.values())
@@ -275,7 +276,6 @@ def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: f
     is_sheared = scene.domain.lees_edwards is not None
     refuse_narrow_box(scene, radius_max, 2.0 * reach if is_sheared else reach)
     refuse_cut_walls(scene, walls, radius_max + reach)
-    refuse_infinite_rotations(scene, walls)
 
 
 def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:

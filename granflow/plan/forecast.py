@@ -181,7 +181,7 @@ def forecast_velocity(plan: Plan) -> ImpactVelocity:
     if scene.run.velocity_max is not None or scene.image_speed or not heights:
         return planned
     magnitude = float(np.linalg.norm(scene.usual_gravity))
-    wall_speed = surface_speed(scene)
+    wall_speed = surface_speed(scene, plan.walls)
     name, height = max(
         heights.items(),
         key=lambda each: (
@@ -221,7 +221,7 @@ def lifted_height(plan: Plan, height: float) -> tuple[float, str | None]:
         float(np.array(corner) @ up)
         for corner in product(*zip(scene.domain.min, scene.domain.max, strict=True))
     )
-    held = surface_speed(scene) ** 2 / magnitude
+    held = surface_speed(scene, plan.walls) ** 2 / magnitude
     largest: tuple[float, str | None] = (height, None)
     for wall in plan.walls:
         is_in_place = any(each.rotates for each in wall.motions) and not speeds[wall.name]

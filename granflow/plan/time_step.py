@@ -19,7 +19,7 @@ from granflow.contact.law import NormalLaw
 from granflow.contact.material import Solid
 from granflow.load import Scene
 from granflow.plan.pair_case import PairCase
-from granflow.plan.walls import surface_speed
+from granflow.plan.walls import PlannedWall, surface_speed
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 DEFAULT_SPEED = 1.0
@@ -34,7 +34,7 @@ class ImpactVelocity:
     source: str
 
 
-def max_impact_velocity(scene: Scene) -> ImpactVelocity:
+def max_impact_velocity(scene: Scene, walls: Sequence[PlannedWall]) -> ImpactVelocity:
     """Read it from the scene, or estimate it from free fall through the domain, initial velocities and moving
     walls.
 
@@ -49,7 +49,7 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
     fall = free_fall(scene)
     initial = max((group.initial_speed for group in scene.particles.values()), default=0.0)
     images = scene.image_speed
-    surface = max(surface_speed(scene), images)
+    surface = max(surface_speed(scene, walls), images)
     if not max(fall, initial, surface) > 0.0:
         return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
     speed = fall

@@ -7,8 +7,6 @@ Checkpoints contain the changed walls.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from granflow.errors import GranflowError
 from granflow.plan.joined_walls import joints_of
 from granflow.plan.plan import Plan
@@ -108,8 +106,7 @@ def _speed(plan: Plan, wall: PlannedWall) -> float:
     """Largest speed [m/s] of the geometry of the wall within the domain, by its prescribed motions without
     stages."""
     motions = [each for each in wall.motions if each.stages is None]
-    corners = np.array([plan.domain_low, plan.domain_high])
-    return geometry_speed(wall.surface, motions, corners, plan.scene.longest_duration)
+    return geometry_speed(wall.surface, motions, plan.scene.domain, plan.scene.longest_duration)
 
 
 def changed_walls(plan: Plan, original: Plan) -> Mapping[str, PlannedWall]:

@@ -6,8 +6,9 @@ times when the stages begin.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import inf
 
 import numpy as np
@@ -15,10 +16,12 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.geometry.mesh import Mesh
 from granflow.geometry.surface import Surface, assign_shared_edges
+from granflow.geometry.vectors import distance_from_axis
 from granflow.io.files import FormatError
 from granflow.load import Scene
 from granflow.plan.stages import StageTimes, always
-from granflow.scene.blocks.motions import TimedMotion, placement_of, speed_bound
+from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.motions import TimedMotion, placement_of
 from granflow.scene.blocks.walls.wall import Wall
 
 
@@ -124,27 +127,37 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
     Prescribed motions only; a surface of revolution that rotates about its own axis does not move as
     geometry.
     """
-    corners = np.array([scene.domain.min, scene.domain.max])
     times = always(scene.schedule)
     return {
         wall.name: geometry_speed(
-            wall.surface, [each.at(times) for each in wall.motions], corners, scene.longest_duration
+            wall.surface, [each.at(times) for each in wall.motions], scene.domain, scene.longest_duration
         )
         for wall in walls
     }
 
 
 def geometry_speed(
-    surface: Surface, motions: Sequence[TimedMotion], corners: np.ndarray, duration: float
+    surface: Surface, motions: Sequence[TimedMotion], domain: Domain, duration: float
 ) -> float:
-    """Largest speed [m/s] of a surface within the domain by a chain of prescribed motions.
+    """Largest speed [m/s] of a surface within the domain by a chain of prescribed motions in `duration` [s].
 
-    corners:   smallest and largest coordinates of the domain (2, 3) [m]
-    duration:  [s] of the run
+    A rotation that maps the surface onto itself does not count, see `Surface.reach_about`.
+    """
+    return _chain_speed(surface, motions, domain, duration, surface.reach_about)
 
-    The last motion that is a rotation has the reach of the surface about its axis. For an earlier one, the
-    motions after it move the surface in a ball about a point of its axis, which each of them enlarges.
-    Motions after a placement refer to space; the surface at rest is then inversely placed.
+
+def _chain_speed(
+    surface: Surface,
+    motions: Sequence[TimedMotion],
+    domain: Domain,
+    duration: float,
+    reach_about: Callable[[np.ndarray, np.ndarray], float],
+) -> float:
+    """Sum of the largest speeds [m/s] of all motions of a chain.
+
+    The last motion that is a rotation has the reach of the surface about its axis (`reach_about`). For an
+    earlier one, the motions after it move the surface in a ball about a point of its axis, which each of them
+    enlarges. Motions after a placement refer to space; the surface at rest is then inversely placed.
     """
     speeds = []
     travel = 0.0  # of translations in the frame of the present motion
@@ -155,18 +168,21 @@ def geometry_speed(
             speeds.append(motion.top_speed(0.0))
             travel += motion.travel(duration)
             continue
-        in_space, axis = motion.point_and_axis
-        point = in_space
+        in_space, axis_in_space = motion.point_and_axis
+        point, axis = in_space, axis_in_space
         if placement is not None:
             turned = np.array(placement.rotation).T
             point = turned @ (in_space - np.array(placement.translation))
-            axis = turned @ axis
+            axis = turned @ axis_in_space
         center, radius = ball or (point, _radius_about(surface, point))
         radius += travel + float(np.linalg.norm(point - center))
-        reach = radius if ball is not None or travel > 0.0 else surface.reach_about(point, axis)
-        is_carried = any(each.rotates for each in motions[:index])
-        if not is_carried or math.isinf(reach):
-            reach = min(reach, float(np.linalg.norm(np.abs(corners - in_space).max(axis=0))))
+        reach = radius if ball is not None or travel > 0.0 else reach_about(point, axis)
+        carriers = motions[:index]
+        if math.isinf(reach) or not (
+            domain.on_exit == "expand" or any(each.rotates or each.force_controlled for each in carriers)
+        ):
+            carried = sum(each.travel(duration) for each in carriers)
+            reach = min(reach, _reach_of(domain, in_space, axis_in_space) + carried)
         speeds.append(motion.top_speed(reach))
         ball = point, radius
         travel = 0.0
@@ -180,24 +196,38 @@ def _radius_about(surface: Surface, point: np.ndarray) -> float:
     return float(np.linalg.norm(surface.enclosing_points() - point, axis=1).max())
 
 
-def surface_speed(scene: Scene) -> float:
+def _reach_of(domain: Domain, point: np.ndarray, axis: np.ndarray) -> float:
+    """Largest distance [m] of the domain from an axis: that of a corner, because the distance is convex."""
+    corners = np.array(list(product(*zip(domain.min, domain.max, strict=True))))
+    return float(distance_from_axis(corners, point, axis).max())
+
+
+def surface_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
     """Largest surface speed [m/s] of all walls, including rotation in place, belts and force-controlled
     motion.
 
-    Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
+    Points of a rotating wall count up to its largest distance from the axis, or that of the domain if this is
+    smaller: contacts are within it.
     """
     extent = scene.domain.diagonal
+    times = always(scene.schedule)
     fastest = 0.0
-    for wall in scene.walls.values():
-        motions = [each.numeric(scene.usual_gravity) for each in wall.motion]
+    for wall in walls:
         controlled_speed = max(
             sum(
                 each.controlled_speed(scene.gravity_along, extent)
-                for each in motions
+                for each in wall.motions
                 if each.is_in_stage(stage.name)
             )
             for stage in scene.schedule
         )
-        belt = sum(each.surface_speed for each in motions)
-        fastest = max(fastest, speed_bound(motions, extent / 2) + belt + controlled_speed)
+        belt = sum(each.surface_speed for each in wall.motions)
+        prescribed = _chain_speed(
+            wall.surface,
+            [each.at(times) for each in wall.motions],
+            scene.domain,
+            scene.longest_duration,
+            wall.surface.farthest_from,
+        )
+        fastest = max(fastest, prescribed + belt + controlled_speed)
     return fastest

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from geometry.motions import oscillation, rotation, surface_velocity, table, translation, vibration
 
+import granflow as gf
 from granflow.plan.walls import geometry_speed
-from granflow.scene.blocks.motions import poses_at, speed_bound
+from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.walls.half_space import half_space
 from granflow.scene.blocks.walls.rectangle import rectangle
 from granflow.scene.blocks.walls.revolved import cylinder, disc
+from granflow.scene.blocks.walls.sphere import sphere
 from granflow.scene.reference import json_schema
 
 AXIS = (2 / 3, -1 / 3, 2 / 3)
@@ -153,7 +155,7 @@ def test_pot_of_a_planetary_mill():
 
 def test_speeds_of_chains_are_bounded():
     """No point of a surface is faster than the bound, which of a planetary pot is at most twice its speed."""
-    domain = np.array([[-2.0] * 3, [2.0] * 3])
+    domain = gf.Domain(min=[-2.0] * 3, max=[2.0] * 3, on_exit="delete")
     pot = cylinder((0.1, 0.0, 0.0), (0.1, 0.0, 0.05), 0.03)
     mill = [rotation((0, 0, 0), (0, 0, 1), 30.0), rotation((0.1, 0, 0), (0, 0, 1), -75.0)]
     plate = rectangle((0.2, 0.1, 0.0), (0.3, 0.0, 0.0), (0.0, 0.2, 0.1))
@@ -170,14 +172,31 @@ def test_speeds_of_chains_are_bounded():
     assert 0.0 < with_plane < 1e3
 
 
-def test_speed_bound_is_the_maximum_speed():
-    assert speed_bound([], 1.0) == 0.0
-    assert speed_bound(RAMPS, 0.4) == pytest.approx(np.sqrt(0.2) + 5.0 * 0.4)
-    assert speed_bound([RAMPS[1], translation((0.0, 0.0, 0.1))], 1.0) == pytest.approx(5.1)
-    bound = speed_bound(MOTIONS, 0.4)
-    assert bound == pytest.approx(0.01 * 50 * pi + np.sqrt(0.14) + 5.0 * 0.4)
-    poses = poses_at([vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
-    assert np.abs(poses.velocity).max() == pytest.approx(speed_bound([vibration((0, 0, 1), 0.01, 10.0)], 1.0))
+def test_speed_of_a_plate_is_that_of_its_farthest_point_in_the_domain():
+    """w R: R is the distance of the farthest corner of the plate from the axis z through P, or that of the
+    domain from the axis if this is smaller."""
+    domain = gf.Domain(min=[0.0, 0.0, 0.0], max=[1.0, 0.5, 0.2], on_exit="delete")
+    inside = rectangle((0.9, 0.1, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.1))
+    beyond = rectangle((0.9, 0.1, 0.0), (7.0, 0.0, 0.0), (0.0, 0.0, 0.1))
+    axis = (-3.0, 0.1, 5.0)
+    turning = rotation(axis, (0, 0, 1), 2.0)
+    corner_of_domain = np.hypot(4.0, 0.4)
+    ramp = rotation(axis, (0, 0, 1), 2.0, initial_angular_velocity=-3.0, ramp_duration=0.2)
+    carrying = translation((0.3, 0.0, 0.0), end=0.5)
+    expanding = domain.model_copy(update={"on_exit": "expand"})
+    for surface, motions, box, expected in (
+        (inside, [turning], domain, 2.0 * 4.0),
+        (beyond, [turning], domain, 2.0 * corner_of_domain),
+        (beyond, [turning], expanding, 2.0 * 10.9),
+        (half_space((0, 0, 0), (1, 0, 0)), [turning], domain, 2.0 * corner_of_domain),
+        (inside, [ramp], domain, 3.0 * 4.0),
+        (inside, [ramp, carrying], domain, 3.0 * corner_of_domain + 0.3),
+        (inside, [ramp, carrying], expanding, 3.0 * (np.hypot(4.0, 5.0) + 0.15) + 0.3),
+        (beyond, [carrying, turning], domain, 0.3 + 2.0 * (corner_of_domain + 0.15)),
+        (inside, [vibration((0, 0, 1), 0.01, 10.0)], domain, 0.1),
+        (inside, [], domain, 0.0),
+    ):
+        assert geometry_speed(surface, motions, box, 1.0) == pytest.approx(expected)
 
 
 def test_ramps_change_velocities_linearly():
@@ -206,7 +225,7 @@ def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
     np.testing.assert_allclose(found.surface_velocity, [[0, 0, 0], [-2, 0, 0], [0, -3, 0]], atol=1e-15)
     for name in ("offset", "rotation", "velocity", "angular_velocity", "pivot"):
         np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
-    assert speed_bound([surface], 1.0) == 0.0
+    assert surface.top_speed(1.0) == 0.0
 
 
 def test_reach_excludes_surfaces_that_rotation_leaves_unchanged():
@@ -221,3 +240,6 @@ def test_reach_excludes_surfaces_that_rotation_leaves_unchanged():
     assert rectangle([1, 0, 0], [1, 0, 0], [0, 0, 1]).reach_about(origin, along_z) == 2.0
     assert half_space([0, 0, 0], [0, 0, 1]).reach_about(origin, along_z) == 0.0
     assert half_space([0, 0, 0], [0, 0, 1]).reach_about(origin, along_x) == np.inf
+    assert drum.farthest_from(origin, along_z) == 0.5
+    ball = sphere([0, 0, 1], 0.5)
+    assert ball.reach_about(origin, along_z) == 0.0 and ball.farthest_from(origin, along_x) == 1.5

@@ -9,7 +9,7 @@ from geometry.motions import table as table_motion
 from scipy.integrate import trapezoid
 
 from granflow.geometry.motion import MotionTable
-from granflow.scene.blocks.motions import poses_at, speed_bound
+from granflow.scene.blocks.motions import poses_at
 
 TIMES, VALUES = (0.0, 0.2, 0.5, 0.6, 1.0), (0.3, 0.4, 0.4, 1.0, 0.1)
 RATES = (0.0, 2.0, 2.0, -1.0, 0.0)
@@ -65,7 +65,7 @@ def test_a_densely_tabulated_sine_is_a_vibration():
     np.testing.assert_allclose(
         found.offset[:, 2], 0.01 * np.sin(2 * pi * (at - 0.5)), atol=0.01 * (2 * pi / 200) ** 2
     )
-    assert speed_bound([motion], 1.0) == pytest.approx(0.02 * pi, rel=1e-3)
+    assert motion.top_speed(0.0) == pytest.approx(0.02 * pi, rel=1e-3)
 
 
 def test_the_wall_is_at_rest_outside_the_table():
@@ -82,4 +82,4 @@ def test_angles_turn_the_wall_about_the_axis():
     found = poses_at([motion], np.array([1.0, 2.5]))
     np.testing.assert_allclose(found.rotation @ [1, 0, 0], [[0, 1, 0], [-1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(found.angular_velocity, [[0, 0, pi / 2], [0, 0, 0]], atol=1e-15)
-    assert speed_bound([motion], 2.0) == pytest.approx(pi)
+    assert motion.top_speed(2.0) == pytest.approx(pi)

@@ -76,17 +76,15 @@ def test_impact_forecast_has_the_planned_velocity_where_the_drop_height_is_not_k
     assert f"at {plan.impact_velocity.value:.3g} m/s ({plan.impact_velocity.source})" in forecast.remark
 
 
-LARGEST_RADIUS = np.sqrt(3.0)
-"""Half the diagonal of the domain [m], within which granflow assumes rotating walls."""
 OMEGA = 2.0 * np.pi * 20.0
 LIFTED = {
     "vibration": (
         {"floor": FLOOR["floor"] | SHAKING}, 3.0 * GRAVITY / OMEGA, 0.2 + 2.0 * 3.0 * GRAVITY / OMEGA**2
     ),
     "drum, which holds particles up to u^2/g above its axis": (
-        {"drum": DRUM}, 0.5 * LARGEST_RADIUS, 0.5 + (0.5 * LARGEST_RADIUS)**2 / GRAVITY
+        {"drum": DRUM}, 0.5 * 0.5, 0.5 + (0.5 * 0.5)**2 / GRAVITY
     ),
-    "stirrer": ({"plate": RECTANGLE | {"motion": DRUM["motion"] | {"point": [0, 0, 0.2]}}}, 0.5 * LARGEST_RADIUS, 0.4 + np.hypot(0.4, 0.1)),
+    "stirrer": ({"plate": RECTANGLE | {"motion": DRUM["motion"] | {"point": [0, 0, 0.2]}}}, 0.5 * np.hypot(0.4, 0.1), 0.4 + np.hypot(0.4, 0.1)),
     "pushed up": ({"plate": RECTANGLE | PUSHED}, 0.1, 1.2),
     "lid that presses down": ({**FLOOR, "lid": LID}, 0.1, 0.2),
     "elevator": (

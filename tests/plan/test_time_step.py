@@ -13,7 +13,6 @@ from granflow.contact.theory import damping_ratio_for
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for
 from granflow.plan.pair_case import PairCase
-from granflow.plan.time_step import max_impact_velocity
 from granflow.scene.blocks.materials import Material
 
 RADIUS, DENSITY, YOUNG, POISSON, VELOCITY = 2e-3, 2500.0, 10e6, 0.23, 1.0
@@ -244,6 +243,8 @@ TABLE_OF_GRAVITY = (
 )
 RISING = "walls.floor.motion={kind: translation, velocity: [0, 0, 2]}"
 
+FAR_AXIS = "walls.floor.motion={kind: rotation, axis: [0, 0, 1], point: [-3, 0, 0], angular_velocity: 8}"
+
 
 @pytest.mark.parametrize(("overrides", "value", "source"), [
     ((), 1.0, "run.velocity_max, "),
@@ -251,6 +252,7 @@ RISING = "walls.floor.motion={kind: translation, velocity: [0, 0, 2]}"
     ((AUTO, "particles.beads.velocity=[3, 4, 0]"), 10.0, "estimated from the speed of the fastest particle"),
     ((AUTO, NO_GRAVITY), 1.0, "assumed"),
     ((AUTO, NO_GRAVITY, RISING), 2.0, "estimated from the speed of the fastest wall, 2 m/s"),
+    ((AUTO, NO_GRAVITY, FAR_AXIS), 8.0 * math.hypot(3.03, 0.03), "estimated from the speed of the fastest wall"),
     ((AUTO, NO_GRAVITY, "stages=[{name: a, duration: 1, gravity: [3, 4, 0]}]", "run.duration=null"),
      math.sqrt(2 * (3 + 4) * 0.04), "estimated from a free fall through the domain"),
     ((AUTO, TABLE_OF_GRAVITY),
@@ -260,8 +262,9 @@ RISING = "walls.floor.motion={kind: translation, velocity: [0, 0, 2]}"
 ])  # fmt: skip
 def test_max_impact_velocity_has_a_value_and_a_source(tmp_path, overrides, value, source):
     """Free fall along the edges, v^2 = 2 (|gx| Lx + |gy| Ly + |gz| Lz), with the largest gravity of the run; along
-    the diagonal if gravity turns."""
-    impact_velocity = max_impact_velocity(scene_of(tmp_path, *overrides))
+    the diagonal if gravity turns. The corner of the domain that is farthest from the axis is as fast as a plane can
+    be."""
+    impact_velocity = plan_for(scene_of(tmp_path, *overrides)).impact_velocity
     assert impact_velocity.value == pytest.approx(value)
     assert impact_velocity.source.startswith(source)
 

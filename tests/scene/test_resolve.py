@@ -13,7 +13,6 @@ from granflow.particles.group import groups_of
 from granflow.particles.insertion import initial_particles
 from granflow.particles.resolve import scaled
 from granflow.plan.build import plan_for
-from granflow.plan.time_step import max_impact_velocity
 from granflow.scene.blocks.sizes import GivenSizes
 from granflow.scene.blocks.walls.mesh import MeshWall
 
@@ -128,7 +127,7 @@ def test_file_defines_count_diameters_and_velocities(tmp_path):
     ) == (3, 0.002, 0.004)  # fmt: skip
     assert group.insert.found.overlap_max == pytest.approx(0.25)
     assert group.insert.found.overlap_rows == "lines 2 and 3"
-    assert max_impact_velocity(scene).value == pytest.approx(10.0)
+    assert plan_for(scene).impact_velocity.value == pytest.approx(10.0)
     assert plan_for(scene).radius_min == 0.001
     particles = initial_particles(scene)
     np.testing.assert_allclose(particles.velocity[0], [3, 0, 4])

@@ -1350,15 +1350,3 @@ def placement_at(motions: Sequence[TimedMotion], time: float) -> Placement:
 def rotations_of(motions: Sequence[TimedMotion]) -> list[TimedMotion]:
     """The rotations among the motions."""
     return [motion for motion in motions if motion.rotates]
-
-
-def speed_bound(motions: Sequence[TimedMotion], reach: float) -> float:
-    """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
-
-    `reach` [m]: largest distance from the axis of each rotation of geometry that moves.
-    Force-controlled motions and surface velocities are ignored.
-    """
-    bound = 0.0
-    for motion in motions:
-        bound += motion.top_speed(reach)
-    return bound

@@ -105,9 +105,13 @@ class HalfSpace(AnalyticSurface):
         """None."""
         return None
 
-    def reach_about(self, point: Vector, axis: Vector) -> float:
-        """Infinite; 0 for rotation about an axis along the normal, which maps the plane onto itself."""
-        return 0.0 if is_parallel(self.normal, axis) else float("inf")
+    def farthest_from(self, point: Vector, axis: Vector) -> float:
+        """Infinite."""
+        return float("inf")
+
+    def turns_in_place(self, point: Vector, axis: Vector) -> bool:
+        """Whether the axis is along the normal."""
+        return is_parallel(self.normal, axis)
 
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """Square of half width `extent` [m] about the projection of `center` (3,) [m] on the plane."""

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from granflow.device_functions import ti
 from granflow.geometry.surface import AnalyticSurface, Surface, Vector
-from granflow.geometry.vectors import are_perpendicular, distance_from_axis, is_parallel, unit
+from granflow.geometry.vectors import are_perpendicular, is_parallel, unit
 from granflow.scene.blocks.primitives import Rectangular
 from granflow.scene.blocks.walls.wall import Wall
 
@@ -135,10 +135,6 @@ class Plate(AnalyticSurface):
     def area(self) -> float:
         """See `Surface`."""
         return self.length1 * self.length2
-
-    def reach_about(self, point: Vector, axis: Vector) -> float:
-        """Distance [m] of the farthest corner from the axis."""
-        return float(distance_from_axis(self.triangles(np.zeros(3), 0.0)[0], point, axis).max())
 
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """Points (4, 3) [m] and triangles (2, 3)."""

@@ -334,18 +334,21 @@ class Revolved(AnalyticSurface):
         start, end = self.profile
         return float(np.pi * (start[0] + end[0]) * self.length)
 
-    def reach_about(self, point: Vector, axis: Vector) -> float:
-        """Distance [m] of the farthest point of both edges from the axis; 0 for rotation about its own axis.
+    def farthest_from(self, point: Vector, axis: Vector) -> float:
+        """Distance [m] of the farthest point of both edges from the axis.
 
         It is an upper bound if the two axes are not parallel.
         """
-        radius = max(end[0] for end in self.profile)
         centers = np.array([self.origin + end[1] * self.axis for end in self.profile])
-        from_surface = distance_from_axis(centers, point, axis).max()
-        size = radius + self.length
-        if is_parallel(self.axis, axis) and from_surface <= 1e-9 * size:
-            return 0.0
-        return float(from_surface + radius)
+        radii = np.array([end[0] for end in self.profile])
+        return float((distance_from_axis(centers, point, axis) + radii).max())
+
+    def turns_in_place(self, point: Vector, axis: Vector) -> bool:
+        """Whether the axis is its own."""
+        centers = np.array([self.origin + end[1] * self.axis for end in self.profile])
+        size = max(end[0] for end in self.profile) + self.length
+        offset = distance_from_axis(centers, point, axis).max()
+        return is_parallel(self.axis, axis) and bool(offset <= 1e-9 * size)
 
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of facets around the axis.

@@ -104,10 +104,13 @@ class SphericalShell(AnalyticSurface):
         """Area [m2] of one side."""
         return 4.0 * np.pi * self.radius**2
 
-    def reach_about(self, point: Vector, axis: Vector) -> float:
-        """Distance [m] of the farthest point from the axis; 0 for an axis through the center."""
-        offset = float(distance_from_axis(self.center[None, :], point, axis)[0])
-        return 0.0 if offset <= 1e-9 * self.radius else offset + self.radius
+    def farthest_from(self, point: Vector, axis: Vector) -> float:
+        """Distance [m] of the farthest point from the axis."""
+        return float(distance_from_axis(self.center, point, axis)[0]) + self.radius
+
+    def turns_in_place(self, point: Vector, axis: Vector) -> bool:
+        """Whether the axis passes through the center."""
+        return bool(distance_from_axis(self.center, point, axis)[0] <= 1e-9 * self.radius)
 
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """Points and triangles of facets between circles of latitude about z."""
