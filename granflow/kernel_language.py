@@ -1,10 +1,9 @@
-"""The kernel language: Taichi, or its fork Quadrants where that is installed, as on Python 3.14.
+"""The kernel language: Taichi, or its fork Quadrants where Taichi is not installed, as on Python 3.14.
 
-Both give the same bits. Quadrants is faster on processors that the compiler of Taichi does not know, and
-where nothing is compiled yet; elsewhere both take the same time. The option --kernels and the environment
-variable GRANFLOW_KERNELS override the choice. `ti` is the module, imported at its first use, because scenes
-are read without it. No other module imports either. At the import, `granflow.taichi_patches` replaces parts
-of it.
+The environment variable GRANFLOW_KERNELS overrides that. The command line sets it, see
+`granflow.cli.arguments.select_kernels`. `ti` is the module, imported at its first use, because scenes are
+read without it. No other module imports either. At the import, `granflow.taichi_patches` replaces parts of
+it.
 """
 
 import os
@@ -21,7 +20,7 @@ from granflow.taichi_patches import shorten_front_end, shorten_front_end_of_quad
 
 VARIABLE = "GRANFLOW_KERNELS"
 """Environment variable that selects the kernel language."""
-LANGUAGES = ("quadrants", "taichi")
+LANGUAGES = ("taichi", "quadrants")
 """Kernel languages; the first one that is installed is used."""
 ti: Any
 
@@ -33,7 +32,7 @@ def _selected() -> str:
     """
     name = os.environ.get(VARIABLE)
     if not name:
-        return next((each for each in LANGUAGES if find_spec(each) is not None), "taichi")
+        return next((each for each in LANGUAGES if find_spec(each) is not None), LANGUAGES[0])
     if name not in LANGUAGES:
         raise GranflowError(f"{VARIABLE} is {name}, but the kernel languages are taichi and quadrants.")
     return name

@@ -2,6 +2,7 @@
 
 import gc
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,10 @@ CACHE = Path(__file__).parent.parent / ".pytest_cache"
 
 os.environ.setdefault("GRANFLOW_CACHE", str(CACHE / "kernels"))
 """Cache of compiled kernels: shared by all test processes, separate from the user's cache."""
+
+if find_spec("taichi"):
+    os.environ.setdefault("GRANFLOW_KERNELS", "taichi")
+    """Kernel language of commands, as in an installation without extras; `bits` compares with Quadrants."""
 
 os.environ["PYTHONPYCACHEPREFIX"] = str(CACHE / "bytecode")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

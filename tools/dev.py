@@ -60,9 +60,6 @@ def command_of(verb: str, rest: "list[str]") -> "list[str]":
     }
     if verb != "run":
         os.chdir(str(ROOT))
-    if verb in ("test", "slow") and sys.version_info[:2] <= NEWEST_PINNED:
-        # the kernel language of an installation without extras; tests/bits compares it with Quadrants
-        os.environ.setdefault("GRANFLOW_KERNELS", "taichi")
     os.environ.setdefault("NO_MKDOCS_2_WARNING", "true")  # the versions are pinned below MkDocs 2
     return [str(environment_python()), *commands[verb]]
 

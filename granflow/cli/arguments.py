@@ -114,17 +114,21 @@ def add_kernels(parser: argparse.ArgumentParser) -> None:
 
 
 def select_kernels(options: argparse.Namespace) -> None:
-    """Set the environment variable of --kernels, for this process and those that it starts.
+    """Set the environment variable of the kernel language, for this process and those that it starts.
 
-    Without --kernels, CUDA is used with Taichi, with which all checks passed on a GPU. Raises GranflowError
-    if this process already uses another kernel language.
+    It is that of --kernels. The default is Quadrants where it is installed: it gives the same bits, starts
+    sooner where nothing is compiled yet, and is faster on processors that the compiler of Taichi does not
+    know. CUDA is used with Taichi, with which all checks passed on a GPU; and so are programs, which do not
+    come here, because their functions may contain those of the module taichi. Raises GranflowError if this
+    process already uses another kernel language.
     """
     name = getattr(options, "kernels", None)
     language = sys.modules.get("granflow.kernel_language")
-    on_cuda = getattr(options, "arch", "cpu") in ("gpu", "cuda")
-    if name is None and on_cuda and language is None and find_spec("taichi"):
-        name = os.environ.get("GRANFLOW_KERNELS") or "taichi"
     if name is None:
+        is_open = language is None and not os.environ.get("GRANFLOW_KERNELS")
+        on_cuda = getattr(options, "arch", "cpu") in ("gpu", "cuda")
+        if is_open and not on_cuda and find_spec("quadrants"):
+            os.environ["GRANFLOW_KERNELS"] = "quadrants"
         return
     if language is not None and name != language.KERNELS:
         raise GranflowError(f"--kernels {name}: this process already uses {language.KERNELS}.")

@@ -166,6 +166,7 @@ class ShowVersion(argparse.Action):
     """Prints the version; reads it only then, because that takes file access."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        select_kernels(argparse.Namespace())  # before the first import of the kernel language
         from granflow.io.log import version_of
         from granflow.kernel_language import KERNELS
 

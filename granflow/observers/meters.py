@@ -404,6 +404,10 @@ def steady_flow_error(history: Sequence[tuple[float, str, float]]) -> float:
     461, discuss block averages). It contains what fluctuates and drifts within one discharge, not how
     discharges of different packings scatter. `history`: as for `steady_flow`. NaN without flow, or if the
     window has fewer than ROWS_PER_BLOCK rows for each part.
+
+    >>> uniform = [(0.01 * row, "run", 0.005 * row) for row in range(101)]
+    >>> round(gf.steady_flow_error(uniform), 9)
+    0.0
     """
     window = _steady_window(history)
     if window is None or len(window.time) < BLOCKS * ROWS_PER_BLOCK:

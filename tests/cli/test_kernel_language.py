@@ -7,6 +7,7 @@ from argparse import Namespace
 import pytest
 
 from granflow import kernel_language
+from granflow.cli import arguments
 from granflow.cli.arguments import select_kernels
 
 ZEN_5 = "vendor_id\t: AuthenticAMD\ncpu family\t: 26\nmodel\t\t: 2\nmodel name\t: AMD EPYC\n"
@@ -66,15 +67,15 @@ def test_processor_of_this_machine_is_read() -> None:
     [
         ({"taichi"}, None, "taichi"),
         ({"quadrants"}, None, "quadrants"),
-        ({"taichi", "quadrants"}, None, "quadrants"),
-        ({"taichi", "quadrants"}, "taichi", "taichi"),
+        ({"taichi", "quadrants"}, None, "taichi"),
+        ({"taichi", "quadrants"}, "quadrants", "quadrants"),
         (set(), "", "taichi"),  # whose absence is an error with the command that installs it
     ],
 )
-def test_installed_quadrants_are_used(
+def test_programs_use_taichi_where_it_is_installed(
     installed: set[str], variable: str | None, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The extra selects its language; the environment variable overrides it."""
+    """Their functions may contain those of the module taichi."""
     monkeypatch.setattr(kernel_language, "find_spec", lambda name: name if name in installed else None)
     monkeypatch.delenv(kernel_language.VARIABLE, raising=False)
     if variable is not None:
@@ -83,25 +84,29 @@ def test_installed_quadrants_are_used(
 
 
 @pytest.mark.parametrize(
-    ("arch", "kernels", "variable", "expected"),
+    ("options", "variable", "is_installed", "expected"),
     [
-        ("cpu", None, None, None),
-        ("vulkan", None, None, None),
-        ("cuda", None, None, "taichi"),
-        ("gpu", None, None, "taichi"),
-        ("cuda", "quadrants", None, "quadrants"),
-        ("cuda", None, "quadrants", "quadrants"),
+        ({}, "", True, "quadrants"),  # --version and verbs without these options
+        ({"arch": "cpu", "kernels": None}, "", True, "quadrants"),
+        ({"arch": "cpu", "kernels": None}, "", False, ""),
+        ({"arch": "cpu", "kernels": None}, "taichi", True, "taichi"),
+        ({"arch": "cpu", "kernels": "taichi"}, "quadrants", True, "taichi"),
+        ({"arch": "vulkan", "kernels": None}, "", True, "quadrants"),
+        ({"arch": "cuda", "kernels": None}, "", True, ""),
+        ({"arch": "gpu", "kernels": None}, "", True, ""),
+        ({"arch": "cuda", "kernels": "quadrants"}, "", True, "quadrants"),
     ],
 )
-def test_cuda_is_used_with_taichi(
-    arch: str,
-    kernels: str | None,
-    variable: str | None,
-    expected: str | None,
+def test_commands_use_quadrants_on_cpus_where_they_are_installed(
+    options: dict[str, str | None],
+    variable: str,
+    is_installed: bool,
+    expected: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """All checks passed on a GPU with Taichi; the option and the variable override it."""
+    """The option and the environment variable override that; all checks on a GPU passed with Taichi."""
     monkeypatch.delitem(sys.modules, "granflow.kernel_language")  # as before its first import
-    monkeypatch.setenv(kernel_language.VARIABLE, variable or "")
-    select_kernels(Namespace(arch=arch, kernels=kernels))
-    assert (os.environ[kernel_language.VARIABLE] or None) == expected
+    monkeypatch.setattr(arguments, "find_spec", lambda name: name if is_installed else None)
+    monkeypatch.setenv(kernel_language.VARIABLE, variable)
+    select_kernels(Namespace(**options))
+    assert os.environ[kernel_language.VARIABLE] == expected

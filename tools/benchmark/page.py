@@ -103,7 +103,7 @@ Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ran
   each function with the tokenizer. Without both, CPU time of a start of the hopper on Zen 3 (two runs each, loaded machine):
   nothing compiled 11.3 and 13.5 s, Taichi 19.6 and 19.8 s; compiled before 6.0 and 6.9 s (14.1 s before the change), Taichi
   6.1 and 6.0 s. CPU time of steps (hopper, 0.25 to 0.35 s, one thread, four pairs in turn): 9.5 to 10.1 s, Taichi 8.9 to
-  10.3 s. Quadrants is therefore used where it is installed.
+  10.3 s. Commands therefore use Quadrants where it is installed.
 - **Order of the particles**: the order of cells in blocks of 8 x 8 x 8 puts as few pairs across chunks as the Hilbert curve
   and the Z-order curve within 1 to 3 points, for chunks of 512 to 4096. The curves would be another sort for no gain.
 - **Chunks of a worker**: workers that begin each phase with chunks of their own instead of the next one of all, so that
