@@ -185,8 +185,11 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, ba
     )
 
 
-def shortfall(group: SceneGroup, error: RegionFullError) -> str:
-    """Error message for a group that does not fit, with the source position of its count."""
+def shortfall(group: SceneGroup, error: RegionFullError, others: Sequence[str] = ()) -> str:
+    """Error message for a group that does not fit, with the source position of its count.
+
+    `others`: names of groups without which it fits.
+    """
     spec = group.spec
     place = f" in its {spec.insert.place_key}" if spec.insert.place_key else ""
     outer = spec.shape.outer_diameter
@@ -196,7 +199,14 @@ def shortfall(group: SceneGroup, error: RegionFullError) -> str:
         else f" For clumps the spheres around them count, here of {outer:.3g} m, so that none overlap in any "
         "orientation: insert fewer at a time, as rain or through an inlet, and let them settle."
     )
+    remedy = error.remedy
+    if others:
+        place += f" between the particles of {' and '.join(others)}, which are placed before"
+        remedy = (
+            "Without them it fits: write the group with the largest particles first, or use one group with "
+            "several sizes."
+        )
     return (
         f"{group.locate('count')}: particles.{group.name}.count is {spec.count}, but "
-        f"{error.shortfall}{place}. {error.remedy}{spheres}"
+        f"{error.shortfall}{place}. {remedy}{spheres}"
     )

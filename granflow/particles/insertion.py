@@ -43,10 +43,20 @@ def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | N
                 try:
                     inserted[name] = insert_group(group, all_spheres(inserted, scene.domain.periodic_box()))
                 except RegionFullError as error:
-                    problems.append(shortfall(group, error))
+                    others = list(inserted) if fits_alone(group) else []
+                    problems.append(shortfall(group, error, others))
     if problems:
         raise SceneError(problems)
     return ParticleData.joined([inserted[name] for name in scene.particles if name in inserted])
+
+
+def fits_alone(group: SceneGroup) -> bool:
+    """Whether a group fits where there are no particles of other groups."""
+    try:
+        insert_group(group, Spheres.none())
+    except RegionFullError:
+        return False
+    return True
 
 
 def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) -> Spheres:

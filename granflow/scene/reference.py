@@ -464,18 +464,19 @@ class Place:
 
 
 def places_of(path: str) -> list[Place]:
-    """Places to which a path leads: from the first level, otherwise those of all keys with its name.
+    """Places to which a path leads: from the first level, otherwise from all keys with its first name.
 
     Names of walls and indices of lists are arbitrary and can be omitted; a variant restricts a block:
     walls.rectangle. Empty if there is no such key.
     """
     words = [word for word in path.replace("[]", "").split(".") if word]
     found = list(_walk(Place("", None, (ROOT,)), words))
-    if not found and len(words) == 1:
+    if not found and words:
         found = [
-            _at(Place(places()[key.part][0], None, (key.part,)), key)
+            place
             for key in all_keys()
             if key.name == words[0]
+            for place in _walk(_at(Place(places()[key.part][0], None, (key.part,)), key), words[1:])
         ]
     return _merged(found)
 

@@ -113,6 +113,20 @@ def test_given_positions_are_used_unchanged():
     assert len(initial_particles(scene_with({"rain": group("rain", 5, rate=10)}))) == 0
 
 
+def test_message_names_the_groups_between_which_a_group_does_not_fit():
+    """Small spheres of 10 % leave no hole of 20 mm; large ones of 8 % leave room for them."""
+    box = {"box": {"min": [0, 0, 0], "max": [0.1, 0.1, 0.1]}}
+    fine, coarse = group("pack", 3000, 0.004, box), group("pack", 20, 0.02, box)
+    with pytest.raises(SceneError) as caught:
+        initial_particles(scene_with({"fine": fine, "coarse": coarse}))
+    assert (
+        "particles.coarse.count is 20, but none fits in its region between the particles of fine, which are "
+        "placed before. Without them it fits: write the group with the largest particles first"
+        in str(caught.value)
+    )
+    assert len(initial_particles(scene_with({"coarse": coarse, "fine": fine}))) == 3020
+
+
 @pytest.mark.parametrize(
     ("case", "fit"),
     [

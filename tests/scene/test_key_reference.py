@@ -53,6 +53,7 @@ def test_a_block_lists_its_keys_and_a_union_its_variants():
     )
     assert "\n  corner " not in union
     assert "\n  corner " in reference_of("walls.rectangle")
+    assert reference_of("motion.servo") == reference_of("walls.NAME.motion.servo")
     first_level = reference_of("")
     assert all(f"\n  {name} " in f"\n{first_level}" for name in parts()["scene"]["properties"])
 
