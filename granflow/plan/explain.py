@@ -131,24 +131,32 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         yield ExplainRow("WARNING", "", sentence)
 
 
+MOST_BOND_NUMBERS = 8
+"""Number of contacts with the largest Bond numbers that are listed."""
+
+
 def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
-    """Row of the Bond number, the largest ratio of pull-off force to weight; empty without gravity or
-    cohesion."""
+    """Rows of the Bond numbers, pull-off force over the weight of the particle; none without gravity or
+    cohesion.
+
+    Each kind of contact has one row, that of its smallest particle.
+    """
     law = plan.laws.cohesion
     gravity = plan.scene.largest_gravity
     if law is None or not gravity:
         return
-    numbers = []
+    rows: dict[str, tuple[float, str]] = {}
     for each in plan.pair_cases:
         force = law.pull_off_force(each.pair, each.radius_eff)
         if force:
-            weight = sphere_mass(each.radius, each.solid.density) * gravity
-            numbers.append((force / weight, force, each.name))
-    if numbers:
-        bond_number, force, name = max(numbers)
-        yield ExplainRow(
-            "Bond number", f"{bond_number:.3g}", f"pull-off force {force:.3g} N over weight, {name}"
-        )
+            number = force / (sphere_mass(each.radius, each.solid.density) * gravity)
+            remark = (
+                f"pull-off force {force:.3g} N over weight, {each.name}, diameter {2.0 * each.radius:.3g} m"
+            )
+            rows[each.name] = max(rows.get(each.name, (0.0, "")), (number, remark))
+    largest = sorted(rows.values(), reverse=True)[:MOST_BOND_NUMBERS]
+    for index, (number, remark) in enumerate(largest):
+        yield ExplainRow("" if index else "Bond number", f"{number:.3g}", remark)
 
 
 def _end_of_flow(group: Group) -> str:

@@ -2,6 +2,7 @@
 rebound."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -288,10 +289,11 @@ def test_van_der_waals_attraction_is_conservative_on_a_contact_without_history(t
 
 
 def test_explain_shows_the_bond_number():
-    """Pull-off force over weight: 3/2 pi w R / (m g), with R of the particle at a wall."""
+    """Pull-off force over weight: 3/2 pi w R / (m g), with the radius R of the particle at a wall, and half of it
+    for two particles."""
     scene, *_ = impacts(gravity=10.0)
-    text = explain(plan_for(scene))
-    mass = DENSITY * math.pi / 6.0 * DIAMETER**3
-    assert (
-        f"{1.5 * math.pi * WORK * RADIUS / (mass * 10.0):.3g}" in text.split("Bond number")[1].split("\n")[0]
-    )
+    text = " ".join(explain(plan_for(scene)).partition("Bond number")[2].split())
+    at_wall, of_two = re.findall(r"(\S+) pull-off force \S+ N over weight, (.*?), diameter 0.0002 m", text)
+    number = 1.5 * math.pi * WORK * RADIUS / (DENSITY * math.pi / 6.0 * DIAMETER**3 * 10.0)
+    assert at_wall[0] == f"{number:.3g}" and "wall" in at_wall[1]
+    assert of_two[0] == f"{number / 2.0:.3g}" and "wall" not in of_two[1]
