@@ -371,7 +371,12 @@ def build(deck: Deck, draft: Draft) -> None:
             entries[0].approximated(
                 f"the time step changes to {steps[-1]:g} s; the smallest is taken for all"
             )
-    draft.put(("numerics", "max_overlap"), 0.8, remark="the script has no limit; 0.8 is the largest one")
+    draft.put(
+        ("numerics", "max_overlap"),
+        0.8,
+        remark="the script has no limit; without this key, overlaps above 0.1 are reported, and above 0.5 "
+        "stop the run",
+    )
     _output(deck, draft)
 
 

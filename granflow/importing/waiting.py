@@ -188,5 +188,6 @@ def _follow_stages(deck: Deck, loops: list[Loop], keys: dict[str, Any]) -> None:
             "a run of its own for what begins or ends then",
         )
         return
-    keys.pop("start", None), keys.pop("end", None)
+    for key in ("start", "end"):
+        keys.pop(key, None)
     keys["stages"] = chosen
