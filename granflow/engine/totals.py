@@ -452,14 +452,18 @@ def contents_of(plan: Plan, arrays: Mapping[str, np.ndarray], ranks: Gathering) 
         mean, content_total, *_ = equation.totals
         found |= {mean.name: content / total if total else np.nan, content_total.name: content}
         names = [each.name for each in equation.spread]
-        found |= dict(zip(names, _spread(arrays[equation.name], capacity, ranks), strict=True))
+        found |= dict(zip(names, _spread(arrays[equation.name], capacity, total, ranks), strict=True))
     return found
 
 
-def _spread(values: np.ndarray, capacity: np.ndarray, ranks: Gathering) -> tuple[float, float, float]:
+def _spread(
+    values: np.ndarray, capacity: np.ndarray, total: float, ranks: Gathering
+) -> tuple[float, float, float]:
     """Standard deviation of values (n,), weighted by their capacity (n,), smallest and largest; NaN without
-    values."""
-    total = exact_sum(capacity, ranks)
+    values.
+
+    total:  of the capacity on all ranks
+    """
     if not total:
         return np.nan, np.nan, np.nan
     values = values.astype(float)

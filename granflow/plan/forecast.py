@@ -217,10 +217,7 @@ def lifted_height(plan: Plan, height: float) -> tuple[float, str | None]:
     speeds = wall_speeds(scene, plan.walls)
     low = _lowest_level(scene, plan.walls, up)
     assert low is not None
-    end = max(
-        float(np.array(corner) @ up)
-        for corner in product(*zip(scene.domain.min, scene.domain.max, strict=True))
-    )
+    end = max(float(corner @ up) for corner in scene.domain.corners)
     held = surface_speed(scene, plan.walls) ** 2 / magnitude
     largest: tuple[float, str | None] = (height, None)
     for wall in plan.walls:
@@ -288,7 +285,7 @@ def _lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) 
     domain = scene.domain
     if any(abs(up[AXES.index(axis)]) > LEVEL for axis in domain.periodic):
         return None
-    end = min(float(np.array(corner) @ up) for corner in product(*zip(domain.min, domain.max, strict=True)))
+    end = min(float(corner @ up) for corner in domain.corners)
     floors: list[float] = []
     lowest: list[float] = []
     for wall in walls:

@@ -8,7 +8,6 @@ times when the stages begin.
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from math import inf
 
 import numpy as np
@@ -198,8 +197,7 @@ def _radius_about(surface: Surface, point: np.ndarray) -> float:
 
 def _reach_of(domain: Domain, point: np.ndarray, axis: np.ndarray) -> float:
     """Largest distance [m] of the domain from an axis: that of a corner, because the distance is convex."""
-    corners = np.array(list(product(*zip(domain.min, domain.max, strict=True))))
-    return float(distance_from_axis(corners, point, axis).max())
+    return float(distance_from_axis(domain.corners, point, axis).max())
 
 
 def surface_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:

@@ -273,8 +273,7 @@ class ShownTable:
 
     def _text(self, value: Any) -> Any:
         """A text as the page shows it, mappings and lists as text; other values unchanged."""
-        if isinstance(value, dict | list | tuple):
-            value = level_text(value)
+        value = _plain(value)
         return escaped(value) if self.in_plots and isinstance(value, str) else value
 
     def mean(self, row: PointRow, quantity: str) -> float:

@@ -1,6 +1,7 @@
 """Block `domain`: the simulated box, its boundaries, and what happens to particles that leave it."""
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Annotated, Literal
 
 import numpy as np
@@ -74,6 +75,11 @@ class Domain(Box):
     def diagonal(self) -> float:
         """Length [m] of the diagonal."""
         return float(np.linalg.norm(np.subtract(self.max, self.min)))
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Corners (8, 3) [m]."""
+        return np.array(list(product(*zip(self.min, self.max, strict=True))))
 
     def periodic_box(self) -> PeriodicBox:
         """The periodic box of the domain at the start."""

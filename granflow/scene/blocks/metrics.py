@@ -307,7 +307,8 @@ class LaceyMetric(TwoComponentGrid):
         arguments = particles["position"], is_first, self.grid_in(scene.domain), self.at_least
         index = lacey_index(*arguments)
         dropped = dropped_share(*arguments)
-        if reason := self.reason_without(arguments[0], is_first, arguments[2]):
+        reason = self.reason_without(arguments[0], is_first, arguments[2]) if np.isnan(index) else ""
+        if reason:
             remark = f"the Lacey index is NaN: {reason}"
         elif dropped > DROPPED_SHARE:
             remark = (

@@ -130,13 +130,12 @@ def repetitions_of(variants: Sequence[LawVariant], seeds: int) -> list[LawVarian
             if variant.scene is None:
                 continue
             seed = variant.scene.seed + offset
-            described = variant.scene.model_dump(by_alias=True, exclude_none=True) | {"seed": seed}
             found.append(
-                LawVariant(
-                    f"{variant.key}_seed_{seed}",
-                    f"{variant.title}, seed {seed}",
-                    variant.normal,
-                    Scene.from_dict(described, variant.scene.folder),
+                replace(
+                    variant,
+                    key=f"{variant.key}_seed_{seed}",
+                    title=f"{variant.title}, seed {seed}",
+                    scene=variant.scene.with_values({"seed": seed}),
                     repeats=variant.key,
                 )
             )
