@@ -154,9 +154,9 @@ output:
 """
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def registered():
-    """The two models are registered during each test."""
+    """The two models are registered during all tests: each registration builds the schema again."""
     for model in (STICKY, VISCOUS):
         register_contact_model(model)
     yield

@@ -105,9 +105,9 @@ MODELS = [
 EQUATION = Potential()
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def registered():
-    """Models and equation are registered during each test."""
+    """Models and equation are registered during all tests: each registration builds the schema again."""
     for model in MODELS:
         register_contact_model(model)
     register_particle_equation(EQUATION)
