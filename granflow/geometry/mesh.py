@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from granflow.geometry.connected_parts import connected_parts
 from granflow.geometry.mesh_contact import (
     MeshAdjacency,
     adjacency_of,
@@ -106,13 +107,8 @@ class Mesh(Surface):
         """See `Surface`; also if an edge has more than two triangles."""
         if self.adjacency.nonmanifold_count:
             return True
-        pairs = classify_edges(self.corners)[0] // 3
-        count = self.triangle_count
-        from scipy.sparse import coo_array  # imported here: most scenes have no mesh
-        from scipy.sparse.csgraph import connected_components
-
-        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-        part_count, part = connected_components(graph, directed=False)
+        part = connected_parts(classify_edges(self.corners)[0] // 3, self.triangle_count)
+        part_count = part.max() + 1
         if part_count > MAX_PARTS:
             return True
         parts = [self.points[np.unique(self.corners[part == k])] for k in range(part_count)]

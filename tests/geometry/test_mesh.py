@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from geometry.meshes import cube, mesh, sheet, tube
 
+from granflow.geometry.connected_parts import connected_parts
 from granflow.geometry.mesh import grid_over
 from granflow.geometry.mesh_contact import triangle_contacts, triangle_distances
 from granflow.geometry.mesh_file import STL_RECORD, read_triangles
@@ -126,6 +127,27 @@ def test_grid_lists_every_triangle_within_reach_once():
             candidates = grid.triangle[grid.start[cell] : grid.start[cell + 1]]
         assert len(set(candidates)) == len(candidates)
         assert set(np.flatnonzero(distance < reach)) <= set(candidates)
+
+
+@pytest.mark.parametrize("count", [1, 50, 2000])
+def test_connected_parts_are_those_of_a_search_along_the_pairs(count):
+    """Chains in random order, which need most rounds, and random pairs that leave things alone."""
+    rng = np.random.default_rng(count)
+    order = rng.permutation(count)
+    chain = np.stack([order[:-1], order[1:]], axis=1)
+    chain = chain[rng.permutation(len(chain))][: max(len(chain) - 2, 0)]
+    for pairs in (chain, rng.integers(0, count, (count // 3, 2)), np.empty((0, 2))):
+        neighbors = {k: [] for k in range(count)}
+        for one, other in pairs.astype(int).tolist():
+            neighbors[one].append(other)
+            neighbors[other].append(one)
+        expected = [-1] * count
+        for number, start in enumerate(k for k in range(count) if expected[k] < 0):
+            waiting = [start]
+            while waiting:
+                expected[k := waiting.pop()] = number
+                waiting += [each for each in neighbors[k] if expected[each] < 0]
+        assert connected_parts(pairs, count).tolist() == expected
 
 
 def test_parts_with_different_meshes_are_joined_at_their_common_edge():

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, Tag
 
 from granflow.geometry.clump import ClumpBody, about, clump_body, random_orientations
+from granflow.geometry.connected_parts import connected_parts
 from granflow.scene.blocks.insertions import InsertionKind, kinds
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 from granflow.scene.blocks.primitives import RotationStep
@@ -246,10 +247,9 @@ def _gaps(
 ) -> Iterator[str]:
     """A sentence on the narrowest gap between the spheres that are connected with the first one and the
     others."""
-    from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
-
     gap = distance - np.add.outer(radii, radii)
-    count, part = connected_components(gap <= SAME_SPHERE * np.minimum.outer(radii, radii))
+    part = connected_parts(np.argwhere(gap <= SAME_SPHERE * np.minimum.outer(radii, radii)), len(radii))
+    count = part.max() + 1
     if count == 1:
         return
     of_first = part == part[0]
