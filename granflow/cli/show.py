@@ -193,6 +193,8 @@ def render(options: argparse.Namespace) -> int:
     from granflow.studies.render import PictureStyle, write_pictures
 
     check_output_file(options.out, (".mp4",) if options.film else (".png",), options.directory)
+    if options.chains and options.walls is not None:
+        raise GranflowError("--chains and --walls have one color scale: give one of them.")
     frames = frames_of(options.directory)
     style = PictureStyle(**{field.name: getattr(options, field.name) for field in fields(PictureStyle)})
     if options.film:
@@ -303,6 +305,7 @@ def add_render(verbs: Any) -> None:
         action="store_true",
         help="draw contacts as tubes whose thickness and color show the normal force",
     )
+    add("--walls", metavar="NAME", help=WALLS)
     add("--view", default="iso", metavar="V", help=VIEW)
     add(
         "--zoom",
@@ -332,8 +335,9 @@ FRAME = (
     "last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)"
 )
 COLOR = "particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)"
+WALLS = "array of the walls, such as wear_depth, pressure, traction.z, with transparent particles"
 VIEW = "iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)"
-"""Help texts of --frame, --color and --view."""
+"""Help texts of --frame, --color, --walls and --view."""
 
 
 def pixel_size(text: str) -> tuple[int, int]:

@@ -16,7 +16,6 @@ import numpy as np
 
 from granflow import Scene
 from granflow.errors import GranflowError
-from granflow.fields import WEAR_ARRAYS
 from granflow.io.frames import file_at, is_empty, listed_frames, read_mesh, require_directory
 from granflow.units import UnitError, to_si
 
@@ -142,18 +141,22 @@ def read_particles(frame: Frame) -> FrameParticles:
     return FrameParticles(mesh.points.astype(np.float64), radius, arrays)
 
 
+COLORS_OF_WALLS = "color"
+"""Array of the colors (k, 3) of polygons, 0 to 255, which pictures add to those of the file."""
+
+
 @dataclass(frozen=True)
 class FrameWalls:
     """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,).
 
-    Corners are indices of points; wall numbers are those of the scene. `wear`: per array of WEAR_ARRAYS in
-    the file and kind of polygon, its values (k,), NaN for walls without it.
+    Corners are indices of points; wall numbers are those of the scene. `arrays`: per array of the file and
+    kind of polygon, its values (k,) or (k, 3), NaN for walls without it.
     """
 
     points: np.ndarray
     polygons: tuple[np.ndarray, ...]
     walls: tuple[np.ndarray, ...]
-    wear: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    arrays: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
 
     @property
     def numbers(self) -> list[int]:
@@ -168,29 +171,29 @@ class FrameWalls:
         chosen = [
             (cells[is_chosen], wall[is_chosen]) for cells, wall, is_chosen in parts if np.any(is_chosen)
         ]
-        wear = {
+        arrays = {
             name: tuple(
                 each[is_chosen]
                 for each, (*_, is_chosen) in zip(values, parts, strict=True)
                 if np.any(is_chosen)
             )
-            for name, values in self.wear.items()
+            for name, values in self.arrays.items()
         }
         return FrameWalls(
-            self.points, tuple(cells for cells, _ in chosen), tuple(wall for _, wall in chosen), wear
+            self.points, tuple(cells for cells, _ in chosen), tuple(wall for _, wall in chosen), arrays
         )
 
     def same_as(self, other: "FrameWalls | None") -> bool:
-        """Whether both contain the same walls in the same pose."""
+        """Whether both contain the same walls in the same pose and with the same colors."""
         if (
             other is None
             or self.points.shape != other.points.shape
             or len(self.polygons) != len(other.polygons)
         ):
             return False
-        mine = (self.points, *self.polygons)
-        theirs = (other.points, *other.polygons)
-        return all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+        mine = (self.points, *self.polygons, *self.arrays.get(COLORS_OF_WALLS, ()))
+        theirs = (other.points, *other.polygons, *other.arrays.get(COLORS_OF_WALLS, ()))
+        return len(mine) == len(theirs) and all(map(np.array_equal, mine, theirs))
 
     def points_of(self, walls: Sequence[int]) -> np.ndarray:
         """Corners (m, 3) [m] of the walls with the given numbers."""
@@ -207,14 +210,13 @@ def read_walls(frame: Frame) -> FrameWalls | None:
     mesh = read_mesh(frame.walls)
     numbers = mesh.cell_data.get("wall", [np.zeros(len(block.data), np.int32) for block in mesh.cells])
     blocks = [(block.data, wall) for block, wall in zip(mesh.cells, numbers, strict=True) if len(block.data)]
-    wear = {
-        name: tuple(np.asarray(values, float) for values in mesh.cell_data[name] if len(values))
-        for name in WEAR_ARRAYS
-        if name in mesh.cell_data
+    arrays = {
+        name: tuple(np.asarray(values, float) for values in blocks_of_array if len(values))
+        for name, blocks_of_array in mesh.cell_data.items()
+        if name != "wall"
     }
-    return FrameWalls(
-        mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks), wear
-    )
+    walls = tuple(np.asarray(wall) for _, wall in blocks)
+    return FrameWalls(mesh.points, tuple(cells for cells, _ in blocks), walls, arrays)
 
 
 def planes_of(walls: FrameWalls, scene: Scene | None) -> list[int]:

@@ -6,9 +6,9 @@ off-screen with pyvista, and `legend_strip` draws time, color scale and scale ba
 of it. `write_pictures` writes PNG files, `write_film` an MP4 file.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
@@ -19,11 +19,12 @@ import numpy as np
 
 from granflow import Scene, plan_for, read_run
 from granflow.errors import GranflowError
-from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES, WALL_ARRAY_QUANTITIES
 from granflow.io.files import replacing
 from granflow.schema.messages import nearest
 from granflow.studies.figures import COLORS, styled_figure
 from granflow.studies.frames import (
+    COLORS_OF_WALLS,
     OPENING,
     Camera,
     ForceChains,
@@ -56,10 +57,10 @@ CHAIN_COLOR = "normal_force"
 class PictureStyle:
     """Content and view of a picture.
 
-    `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force.
-    `fit`:
-    shown region, "all", "particles" or "domain". `cut`: hide the front half. `limits`: limits of the color
-    scale [SI]. `size`: (width, height) in pixels, including the legend strip.
+    `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force;
+    with `walls`, an array of the walls, which it colors. `fit`: shown region, "all", "particles" or "domain".
+    `cut`: hide the front half. `limits`: limits of the color scale [SI]. `size`: (width, height) in pixels,
+    including the legend strip.
     """
 
     color: str = "velocity"
@@ -68,13 +69,14 @@ class PictureStyle:
     fit: str = "all"
     cut: bool = False
     chains: bool = False
+    walls: str | None = None
     limits: tuple[float, float] | None = None
     size: tuple[int, int] | None = None
 
     @property
     def shown(self) -> str:
         """Array that determines the color."""
-        return CHAIN_COLOR if self.chains else self.color
+        return CHAIN_COLOR if self.chains else self.walls or self.color
 
 
 def write_pictures(
@@ -106,7 +108,8 @@ def picture_path(directory: Path, style: PictureStyle, frame: Frame) -> Path:
 def name_of(style: PictureStyle) -> str:
     """File name of a style: color and view."""
     view = style.view if style.view.isalpha() else "from_" + style.view.replace(",", "_")
-    return "_".join(["picture", style.shown.replace(".", "_"), view, *(["cut"] if style.cut else [])])
+    shown = [*(["walls"] if style.walls else []), style.shown.replace(".", "_")]
+    return "_".join(["picture", *shown, view, *(["cut"] if style.cut else [])])
 
 
 def pictures(
@@ -232,7 +235,8 @@ def _cut(view: View, points: np.ndarray) -> HalfSpace:
 
 
 def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) -> "Scale":
-    """Color scale of a style. Raises GranflowError for force chains if the run has no contacts."""
+    """Color scale of a style. Raises GranflowError for force chains if the run has no contacts, and for an
+    array that its walls do not have."""
     if style.chains:
         forces = [chains.normal_force for chains in map(read_force_chains, frames) if chains is not None]
         if not forces:
@@ -241,10 +245,42 @@ def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) ->
                 "again."
             )
         return scale_for(CHAIN_COLOR, forces, limits=style.limits)
+    if style.walls is not None:
+        return _scale_of_walls(style.walls, frames, style.limits)
     particles = [each for each in map(read_particles, frames) if len(each.radius)]
     is_vector = any(np.ndim(each.arrays.get(style.color, 0)) == 2 for each in particles)
     values = [values_of(each.arrays, style.color) for each in particles]
     return scale_for(style.color, values, is_vector, _names(scene), style.limits)
+
+
+def _scale_of_walls(color: str, frames: Sequence[Frame], limits: tuple[float, float] | None) -> "Scale":
+    """Color scale of an array of the walls: all its values count, because few triangles can have most of
+    them."""
+    walls = [each for each in map(read_walls, frames) if each is not None]
+    if not walls:
+        raise GranflowError(
+            "--walls: the run has no walls_*.vtu; set output.walls: true in the scene and run it again."
+        )
+    values = [part for each in walls for part in wall_values_of(each, color)]
+    found = np.concatenate([np.zeros(0), *values])
+    if not np.isfinite(found).any():
+        raise GranflowError(f"--walls {color}: no wall has a value of it.")
+    is_vector = "." not in color and any(part.ndim == 2 for each in walls for part in each.arrays[color])
+    return scale_for(color, values, is_vector, limits=limits, percentiles=(0.0, 100.0))
+
+
+def wall_values_of(walls: FrameWalls, color: str) -> tuple[np.ndarray, ...]:
+    """Values (k,) of an array of each kind of polygon, as `values_of`. Raises GranflowError without it."""
+    if not walls.arrays:
+        raise GranflowError(
+            f"--walls {color}: the walls have no arrays. output.wall_forces gives pressure and traction, "
+            "wear of a wall gives wear_depth, and a belt gives surface_velocity."
+        )
+    kinds = range(len(walls.polygons))
+    return tuple(
+        values_of({name: values[kind] for name, values in walls.arrays.items()}, color, "--walls")
+        for kind in kinds
+    )
 
 
 def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
@@ -274,9 +310,14 @@ def _picture(renderer: "Renderer", setup: PictureSetup, frame: Frame) -> np.ndar
     walls = read_walls(frame)
     planes = {k: walls.points_of([k]) for k in planes_of(walls, setup.scene)} if walls is not None else {}
     boxes = {number: drawn_box(plane, setup.particles) for number, plane in planes.items()}
-    renderer.set_walls(walls, setup.domain, boxes, setup.cut)
+    colored: frozenset[int] = frozenset()
+    if walls is not None and setup.style.walls is not None:
+        walls, colored = _colored(walls, setup.style.walls, setup.scale)
+    renderer.set_walls(walls, setup.domain, boxes, setup.cut, colored)
     if setup.style.chains:
         _draw_chains(renderer, setup, read_force_chains(frame), particles)
+    elif setup.style.walls is not None:
+        renderer.set_particles(particles, np.zeros((len(particles.radius), 3), np.uint8), faint=True)
     else:
         values = values_of(particles.arrays, setup.style.color) if len(particles.radius) else np.zeros(0)
         renderer.set_particles(particles, colors_of(values, setup.scale))
@@ -284,6 +325,15 @@ def _picture(renderer: "Renderer", setup: PictureSetup, frame: Frame) -> np.ndar
     shown_height = setup.camera.shown_height
     strip = legend_strip(setup.scale, time, setup.size[1], shown_height, setup.speed)
     return np.concatenate([renderer.draw(), strip], axis=1)
+
+
+def _colored(walls: FrameWalls, color: str, scale: "Scale") -> tuple[FrameWalls, frozenset[int]]:
+    """The walls with colors, and the numbers of those that have values."""
+    values = wall_values_of(walls, color)
+    numbers = [wall[np.isfinite(each)] for wall, each in zip(walls.walls, values, strict=True)]
+    colors = tuple(colors_of(each, scale) for each in values)
+    with_colors = replace(walls, arrays={**walls.arrays, COLORS_OF_WALLS: colors})
+    return with_colors, frozenset(np.concatenate([np.zeros(0, int), *numbers]).astype(int).tolist())
 
 
 def _draw_chains(
@@ -347,19 +397,21 @@ def scale_for(
     is_vector: bool = False,
     names: Mapping[str, Sequence[str]] | None = None,
     limits: tuple[float, float] | None = None,
+    percentiles: tuple[float, float] = PERCENTILES,
 ) -> Scale:
     """Color scale of an array from all shown values, or from given `limits` [SI].
 
     `values`: arrays (n,) of the frames; values that are not finite are ignored. `names`: names of the
-    materials and groups of the scene, by array name.
+    materials and groups of the scene, by array name. `percentiles` of the values limit the range.
     """
     finite = np.concatenate([np.zeros(0), *values])
     finite = finite[np.isfinite(finite)]
     name, _, axis = color.partition(".")
     if name in CATEGORIES:
         return Scale(color, name, "", 1.0, (0.0, 1.0), _categories(name, finite, names or {}))
-    low, high = limits or _range(finite, signed=bool(axis))
-    quantity = PARTICLE_QUANTITIES.get(name) or CONTACT_QUANTITIES.get(name)
+    low, high = limits or _range(finite, bool(axis), percentiles)
+    known = (PARTICLE_QUANTITIES, CONTACT_QUANTITIES, WALL_ARRAY_QUANTITIES)
+    quantity = next((each[name] for each in known if name in each), None)
     factor, unit = prefixed(
         "" if quantity is None or quantity.unit == "1" else quantity.unit, max(abs(low), abs(high))
     )
@@ -375,15 +427,15 @@ def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]
     return {number: known[number] if number < len(known) else f"{name} {number}" for number in numbers}
 
 
-def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
-    """Range that contains most values (PERCENTILES).
+def _range(values: np.ndarray, signed: bool, percentiles: tuple[float, float]) -> tuple[float, float]:
+    """Range that contains the values between two percentiles.
 
     It is symmetric for components, and begins at 0 if the lower limit is near 0. `values` (n,) [SI], all
     finite; (0, 1) without values.
     """
     if not len(values):
         return 0.0, 1.0
-    low, high = (float(end) for end in np.percentile(values, PERCENTILES))
+    low, high = (float(end) for end in np.percentile(values, percentiles))
     if signed:
         high = max(abs(low), abs(high)) or 1.0
         return -high, high
@@ -416,16 +468,16 @@ def prefixed(unit: str, largest: float) -> tuple[float, str]:
 AXES = ("x", "y", "z")
 
 
-def values_of(arrays: Mapping[str, np.ndarray], color: str) -> np.ndarray:
+def values_of(arrays: Mapping[str, np.ndarray], color: str, option: str = "--color") -> np.ndarray:
     """Values (n,) of an array, magnitude of a vector, or one component such as velocity.z.
 
-    Raises GranflowError with the available names for an unknown one.
+    Raises GranflowError with the available names for an unknown one, given by an `option`.
     """
     name, _, axis = color.partition(".")
     if name not in arrays or (axis and (axis not in AXES or arrays[name].ndim != 2)):
         near = nearest(name, list(arrays))
         hint = f" Did you mean {near}?" if near and near != name else ""
-        raise GranflowError(f"--color {color}: no such array; the arrays are {', '.join(arrays)}.{hint}")
+        raise GranflowError(f"{option} {color}: no such array; the arrays are {', '.join(arrays)}.{hint}")
     values = np.asarray(arrays[name], dtype=np.float64)
     if values.ndim == 2:
         return values[:, AXES.index(axis)] if axis else np.linalg.norm(values, axis=1)
@@ -461,6 +513,8 @@ WALL = {"color": "lightsteelblue", "opacity": 0.16, "lighting": False}
 """Style of walls in pyvista."""
 PLANE = WALL | {"opacity": 0.08}
 """Style of unbounded planes."""
+COLORED_WALL = {"scalars": COLORS_OF_WALLS, "rgb": True, "ambient": 0.7, "diffuse": 0.3}
+"""Style of walls with colors."""
 EDGE_STYLE = {"color": "#5f7388", "line_width": 1.2 * FINER, "lighting": False}
 """Style of edges of walls in pyvista."""
 EDGE_ANGLE = 25.0
@@ -579,11 +633,13 @@ class Renderer:
         box: np.ndarray | None,
         plane_boxes: Mapping[int, np.ndarray],
         cut: HalfSpace | None,
+        colored: Collection[int] = (),
     ) -> None:
         """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the half space `cut`.
 
-        `plane_boxes` (2, 3) [m]: boxes to which unbounded planes are clipped as well, by number. Walls that
-        have not moved since the last frame are kept.
+        `plane_boxes` (2, 3) [m]: boxes to which unbounded planes are clipped as well, by number. The
+        `colored` walls are opaque, in their colors. Walls that have not changed since the last frame are
+        kept.
         """
         if walls is not None and walls.same_as(self._walls):
             return
@@ -593,11 +649,14 @@ class Renderer:
         self._wall_actors = []
         if walls is None:
             return
-        self._add_wall(
-            "walls", walls.selected([k for k in walls.numbers if k not in plane_boxes]), [box], cut, WALL
-        )
+        bounded = [k for k in walls.numbers if k not in plane_boxes]
+        plain = walls.selected([k for k in bounded if k not in colored])
+        self._add_wall("walls", plain, [box], cut, WALL)
+        painted = walls.selected([k for k in bounded if k in colored])
+        self._add_wall("colored walls", painted, [box], cut, COLORED_WALL)
         for number, plane_box in plane_boxes.items():
-            self._add_wall(f"plane {number}", walls.selected([number]), [box, plane_box], cut, PLANE)
+            look = COLORED_WALL if number in colored else PLANE
+            self._add_wall(f"plane {number}", walls.selected([number]), [box, plane_box], cut, look)
 
     def _add_wall(
         self,
@@ -648,9 +707,10 @@ class Renderer:
         faces = [
             np.column_stack([np.full(len(each), each.shape[1]), each]).ravel() for each in walls.polygons
         ]
-        return self._pyvista.PolyData(walls.points, np.concatenate(faces)).clean(
-            lines_to_points=False, polys_to_lines=False
-        )
+        surface = self._pyvista.PolyData(walls.points, np.concatenate(faces))
+        if COLORS_OF_WALLS in walls.arrays:
+            surface.cell_data[COLORS_OF_WALLS] = np.concatenate(walls.arrays[COLORS_OF_WALLS])
+        return surface.clean(lines_to_points=False, polys_to_lines=False)
 
     @staticmethod
     def _clipped(surface: Any, box: np.ndarray | None, cut: HalfSpace | None) -> Any:

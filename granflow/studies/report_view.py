@@ -292,7 +292,7 @@ MOST_WALL_POINTS = 200_000
 def _wear_scales(walls: Sequence[FrameWalls | None]) -> Iterable[Scale]:
     """Color scales of the wear of the walls, from 0 to the largest value of all frames, if it is above 0."""
     for name in WEAR_ARRAYS:
-        values = [each.wear[name] for each in walls if each is not None and name in each.wear]
+        values = [each.arrays[name] for each in walls if each is not None and name in each.arrays]
         largest = max(
             (float(np.nanmax(part, initial=0.0)) for of_frame in values for part in of_frame), default=0.0
         )
@@ -377,9 +377,9 @@ def _worn_triangles(walls: FrameWalls, worn: Sequence[Scale]) -> tuple[np.ndarra
     values = [np.zeros(0) for _ in worn]
     for number, polygons in enumerate(walls.polygons):
         if worn and polygons.shape[1] == 3:
-            has_value = np.isfinite(walls.wear[worn[0].color][number])
+            has_value = np.isfinite(walls.arrays[worn[0].color][number])
             corners = np.concatenate([corners, polygons[has_value]])
-            of_kind = [walls.wear[scale.color][number][has_value] for scale in worn]
+            of_kind = [walls.arrays[scale.color][number][has_value] for scale in worn]
             values = [np.concatenate(both) for both in zip(values, of_kind, strict=True)]
     return corners, values
 

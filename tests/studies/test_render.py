@@ -12,6 +12,7 @@ from observers.snapshots import contacts_of, particles_of, snapshot_of, turned
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
+from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
 from granflow.studies.frames import (
     OPENING,
@@ -29,7 +30,7 @@ from granflow.studies.frames import (
     selected_frames,
     view_of,
 )
-from granflow.studies.render import prefixed, scale_for, speed_of, values_of
+from granflow.studies.render import UNSIGNED, prefixed, scale_for, speed_of, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -221,18 +222,34 @@ for name in ("front", "iso"):
         print(share / (np.pi / 4 * slope**2))
 picture = ["--chains", "--view", "top", "--cut", "--color", "velocity.z"]
 assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/a.png", "--size", "640x480", *picture]) == 0
+worn = ["--walls", "wear_depth", "--view", "top", "--size", "640x480"]
+assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/worn.png", *worn]) == 0
 assert main(["render", sys.argv[1], "--film", "--size", "320x240", "--fps", "4"]) == 0
 """
+
+
+@needs_plot
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--walls", "wear_depth"], "the walls have no arrays. output.wall_forces gives pressure"),
+    (["--walls", "wear_depth", "--chains"], "have one color scale: give one of them"),
+])  # fmt: skip
+def test_walls_without_the_array_are_reported(run, arguments, message, capsys):
+    assert main(["render", str(run), *arguments]) == 2
+    assert message in capsys.readouterr().err
 
 
 @needs_plot
 @pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="needs the plot extra")
 def test_pictures_and_film(run):
     """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel
-    projection; a film has all frames."""
+    projection; a film has all frames. The triangles of the floor have the colors of their wear, of which the
+    scale begins at 0."""
     import imageio_ffmpeg
+    from matplotlib import colormaps
     from PIL import Image
 
+    cells = {"wall": np.zeros(2, np.int32), "wear_depth": np.array([1e-6, 4e-6])}
+    write_vtu(run / "walls_0003.vtu", VtuMesh.of_cells("triangle", *FLOOR, cells))
     done = subprocess.run(
         [sys.executable, "-c", PICTURES, str(run)], capture_output=True, text=True, timeout=250
     )
@@ -242,6 +259,10 @@ def test_pictures_and_film(run):
     picture = np.asarray(Image.open(run / "a.png"))
     assert picture.shape == (480, 640, 3)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
+    worn = np.asarray(Image.open(run / "worn.png")).reshape(-1, 3).astype(int)
+    for share in (0.25, 1.0):
+        color = 255.0 * np.array(colormaps[UNSIGNED](share)[:3])
+        assert np.mean(np.abs(worn - color).max(axis=1) < 4.0) > 0.02, share
     film = run / "pictures" / "film_velocity_iso.mp4"
     assert imageio_ffmpeg.count_frames_and_secs(str(film)) == (4, pytest.approx(1.0, abs=0.05))
 
