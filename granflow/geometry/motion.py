@@ -6,6 +6,8 @@ Velocities can have a ramp: during `ramp_duration` T from the start of the motio
 initial value v0 to v,
 
     v(t) = v - (v - v0) max(1 - t/T, 0),    integral of v = v t - (v - v0) [T/2 - max(T - t, 0)^2 / (2 T)]
+
+and during a ramp at the end they decrease linearly to 0.
 """
 
 from collections.abc import Sequence

@@ -677,6 +677,18 @@ def stage_names(parts: PartialScene) -> Iterator[Fault]:
             elif name not in known:
                 remedy = "remove stages" if path == ("damping",) else "give times instead of stages"
                 yield Fault(location, f"the scene has no stages; {remedy}")
+    for path, motion in [*_motions(parts.scene), *parts.scene.gravity_motions()]:
+        if motion.run_out and motion.stages is not None:
+            yield from _pauses(path, motion.stages, known)
+
+
+def _pauses(path: KeyPath, stages: Sequence[str], known: Sequence[str]) -> Iterator[Fault]:
+    """A fault for stages between those of a motion that stops slowly: it would have to stop before each."""
+    places = sorted(known.index(name) for name in stages if name in known)
+    between = [known[place] for place in range(places[0], places[-1])] if places else []
+    if missed := [name for name in between if name not in stages]:
+        reason = f"the motion pauses in {', '.join(missed)}; give one motion for the stages before, one after"
+        yield Fault((*path, "end_ramp_duration"), reason)
 
 
 def gravity_stages(parts: PartialScene) -> Iterator[Fault]:

@@ -30,6 +30,7 @@ RAMPS = [
         (0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8, initial_angular_velocity=-3.0, ramp_duration=0.2
     ),
 ]
+STOPPING = [each.model_copy(update={"end_ramp_duration": 0.1}) for each in RAMPS]
 
 
 def moved(points, motions, times):
@@ -77,7 +78,8 @@ CHAIN = [
 
 
 @pytest.mark.parametrize(
-    ("motions", "third", "rounding"), [(MOTIONS, 3.9e4, 8e-16), (RAMPS, 1e4, 1e-15), (CHAIN, 1e4, 2e-15)]
+    ("motions", "third", "rounding"),
+    [(MOTIONS, 3.9e4, 8e-16), (RAMPS, 1e4, 1e-15), (STOPPING, 1e4, 1e-15), (CHAIN, 1e4, 2e-15)],
 )
 def test_velocity_is_the_derivative_of_the_pose(motions, third, rounding):
     """Third derivatives: A w^3 = 3.9e4 of the vibration; 3 w (dw/dt) r + w^3 r, below 1e4, of the ramps; of the
@@ -211,6 +213,51 @@ def test_ramps_change_velocities_linearly():
     in_ramp = 0.25 * (first + last) / 2
     np.testing.assert_allclose(
         found.offset[2:], [in_ramp, in_ramp + 0.15 * last, in_ramp + 0.55 * last], atol=1e-15
+    )
+
+
+def test_a_ramp_at_the_end_stops_the_motion_linearly():
+    """From 0.7 to 0.9 s the velocity v decreases to 0, over the way v T / 2; the wall remains there."""
+    velocity = np.array([0.1, 0.2, -0.3])
+    stopping = translation(velocity, start=0.1, end=0.9, end_ramp_duration=0.2)
+    found = poses_at([stopping], np.array([0.7, 0.8, 0.9 - 1e-12, 0.9, 5.0]))
+    shares = np.array([1.0, 0.5, 0.0, 0.0, 0.0])
+    ways = np.array([0.6, 0.6 + 0.075, 0.7, 0.7, 0.7])
+    np.testing.assert_allclose(found.velocity, np.outer(shares, velocity), atol=1e-11)
+    np.testing.assert_allclose(found.offset, np.outer(ways, velocity), atol=1e-11)
+    turning = rotation((0, 0, 0), (0, 0, 1), 5.0, start=0.1, end=0.9, end_ramp_duration=0.2)
+    angle, rate = turning.angle_and_rate(np.array([0.8, 0.9]))
+    np.testing.assert_allclose([angle, rate], [[5.0 * 0.675, 5.0 * 0.7], [2.5, 0.0]], atol=1e-12)
+
+
+def test_a_stage_that_ends_during_the_ramp_at_the_start_ends_with_a_ramp_from_the_velocity_then():
+    """The stage ends at 0.5 s, half-way through the ramp to v: v / 2 remains, and decreases during 0.2 s."""
+    given = gf.Translation(
+        velocity=[0.4, 0, 0], ramp_duration=1.0, end_ramp_duration=0.2, stages=["push"]
+    ).numeric((0.0, 0.0, 0.0))
+    during, after = (given.at({"push": (0.0, end)}) for end in (np.inf, 0.5))
+    np.testing.assert_allclose(poses_at([during], np.array([0.5, 1.0])).velocity[:, 0], [0.2, 0.4])
+    found = poses_at([after], np.array([0.5, 0.6, 0.7, 1.0]))
+    np.testing.assert_allclose(found.velocity[:, 0], [0.2, 0.1, 0.0, 0.0], atol=1e-15)
+    way = 0.5 * 0.5 * 0.2
+    np.testing.assert_allclose(found.offset[:, 0], [way, way + 0.015, way + 0.02, way + 0.02], atol=1e-15)
+
+
+def test_a_motion_pauses_in_the_stages_between_its_stages():
+    """It continues from the pose and the phase that it had, also if its stages are written in another
+    order."""
+    second = {"first": (0.0, 0.3), "rest": (0.3, 0.7), "second": (0.7, np.inf)}
+    begun = {"first": (0.0, 0.3), "rest": (0.3, np.inf)}
+    shaken = gf.Vibration(
+        direction=[0, 0, 1], amplitude=0.01, frequency=0.9, stages=["second", "first"]
+    ).numeric((0.0, 0.0, 0.0))
+    alone = shaken.at({"first": (0.0, np.inf)})
+    times = np.array([0.3, 0.5, 0.9])
+    expected = poses_at([alone], times).offset
+    np.testing.assert_array_equal(poses_at([shaken.at(begun)], np.array([0.5, 0.6])).offset, expected[[0, 0]])
+    np.testing.assert_allclose(poses_at([shaken.at(second)], 0.4 + times).offset, expected, atol=1e-16)
+    np.testing.assert_array_equal(
+        shaken.at({"first": (0.0, 0.3), "second": (0.3, np.inf)}).model_dump(), alone.model_dump()
     )
 
 

@@ -32,8 +32,8 @@ from granflow.schema.model import ListOf, Model, choose_by, choose_by_key
 
 
 class GravityRotation(SteadyRotation):
-    """Gravity turns about an axis, right-handed, at a rate that is constant or changes linearly during a ramp
-    at the start.
+    """Gravity turns about an axis, right-handed, at a rate that is constant or changes linearly during ramps
+    at the start and at the end.
 
     A box that tilts about this axis by an angle, seen from the box, is gravity that turns by the opposite
     angle.

@@ -92,13 +92,26 @@ class TimedMotion(Model):
     def at(self, stage_times: Mapping[str, tuple[float, float]]) -> "TimedMotion":
         """This motion with its times [s], given those of the stages; infinite if its stages have not begun.
 
-        With `stages` it runs from the start of the first of them to the end of the last.
+        With `stages` it runs in these, from the start of the first one on, and for `run_out` after the last
+        one that has ended. A stage between them is a pause of its time: its start is later by the duration of
+        the pause.
         """
         if self.stages is None:
             return self
-        started = [stage_times[name] for name in self.stages if name in stage_times]
-        start, end = (started[0][0], started[-1][1]) if started else (inf, inf)
-        return self.model_copy(update={"start": start, "end": end})
+        started = [times for name, times in stage_times.items() if name in self.stages]
+        if not started:
+            return self.model_copy(update={"start": inf, "end": inf})
+        start, end = started[0]
+        for begin_again, end_again in started[1:]:
+            if begin_again > end:
+                start += begin_again - end
+            end = end_again
+        return self.model_copy(update={"start": start, "end": end + self.run_out})
+
+    @property
+    def run_out(self) -> float:
+        """Time [s] that the motion takes to stop after its stages."""
+        return 0.0
 
     def not_before(self, time: float) -> "TimedMotion":
         """This motion with a start at `time` [s] or later."""
@@ -211,11 +224,6 @@ class TimedMotion(Model):
     def description(self) -> tuple[str, str] | None:
         """What `granflow explain` shows of a table: its last value, and its rows; None for other motions."""
         return None
-
-    def _ramp_faults(self, name: str, ramp_duration: float | None) -> Iterator[Fault]:
-        """Yield a fault for an initial value of the velocity `name` without ramp."""
-        if getattr(self, f"initial_{name}") is not None and ramp_duration is None:
-            yield missing(("ramp_duration",), f"the time during which initial_{name} changes to {name}")
 
 
 Frequency = Annotated[q.Frequency | None, Field(description="frequency [Hz]", examples=["5 Hz"])]
@@ -354,8 +362,75 @@ class Vibration(TimedMotion):
         return sinusoid_period(self.amplitude, self.angular_frequency)
 
 
-class VelocityMotion(TimedMotion):
-    """A velocity [m/s] that is constant, or changes linearly during a ramp at the start."""
+class RampedMotion(TimedMotion):
+    """A motion with a velocity or rate that is constant, or changes linearly during a ramp at the start and
+    decreases linearly to 0 during a ramp at the end.
+    """
+
+    ramp_duration: q.PositiveTime | None = optional(
+        "time from the start during which the velocity or rate changes linearly [s]",
+        "no ramp",
+        examples=["0.2 s"],
+    )
+    end_ramp_duration: q.PositiveTime | None = optional(
+        "time before the end, or after the stages, during which the velocity or rate decreases linearly to 0 "
+        "[s]",
+        "sudden stop",
+        examples=["0.2 s"],
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for a ramp at the end of a motion that does not end, or is shorter than its ramps."""
+        yield from super().faults()
+        if self.end_ramp_duration is None or self.stages is not None:
+            return
+        if self.end is None:
+            yield Fault(("end_ramp_duration",), "the motion has no end; give end or stages, or remove it")
+            return
+        ramps = (self.ramp_duration or 0.0) + self.end_ramp_duration
+        if ramps > self.end - self.start_time:
+            longest = max(self.end - self.start_time - (self.ramp_duration or 0.0), 0.0)
+            yield Fault(("end_ramp_duration",), f"the motion leaves {longest:g} s for this ramp")
+
+    def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
+        return {
+            "ramp_duration": self.ramp_duration or 0.0,
+            "end_ramp_duration": self.end_ramp_duration or 0.0,
+        }
+
+    @property
+    def run_out(self) -> float:
+        """See `TimedMotion`."""
+        return self.end_ramp_duration or 0.0
+
+    def _course(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Time [s], lag [s], remaining and share (k,) that give the course of a velocity at `times` (k,) [s].
+
+            v(t) = share [v - remaining (v - v0)],    integral of v = time v - lag (v - v0)
+
+        Without a ramp at the end, time is the elapsed time and share 1. That ramp begins with the velocity of
+        this moment, and is not longer than the motion.
+        """
+        end_ramp = min(self.run_out, max(self.end_time - self.start_time, 0.0))
+        begin = self.end_time - end_ramp
+        time = np.maximum(np.minimum(times, begin) - self.start_time, 0.0)
+        lag, remaining = ramp(self.ramp_duration or 0.0, time)
+        stopping, stopped = ramp(end_ramp, np.clip(times - begin, 0.0, end_ramp))
+        share = np.ones(len(time))
+        if end_ramp:
+            time = time + stopping
+            lag = lag + remaining * stopping
+            share = stopped
+        return time, lag, remaining, share
+
+    def _ramp_faults(self, name: str) -> Iterator[Fault]:
+        """Yield a fault for an initial value of the velocity `name` without ramp."""
+        if getattr(self, f"initial_{name}") is not None and self.ramp_duration is None:
+            yield missing(("ramp_duration",), f"the time during which initial_{name} changes to {name}")
+
+
+class VelocityMotion(RampedMotion):
+    """A velocity [m/s] with ramps."""
 
     saved_numbers: ClassVar[Mapping[str, int]] = {
         "velocity": 3,
@@ -363,13 +438,11 @@ class VelocityMotion(TimedMotion):
         "end": 1,
         "initial_velocity": 3,
         "ramp_duration": 1,
+        "end_ramp_duration": 1,
     }
 
     velocity: q.VelocityVector = Field(
         description="velocity [m/s], after the ramp if there is one", examples=[["0.5 m/s", 0, 0]]
-    )
-    ramp_duration: q.PositiveTime | None = optional(
-        "time from the start during which the velocity changes linearly [s]", "no ramp", examples=["0.2 s"]
     )
     initial_velocity: q.VelocityVector | None = optional(
         "with ramp_duration: velocity at the start [m/s]", "0", examples=[[0, 0, 0]]
@@ -378,13 +451,11 @@ class VelocityMotion(TimedMotion):
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for an initial velocity without ramp."""
         yield from super().faults()
-        yield from self._ramp_faults("velocity", self.ramp_duration)
+        yield from self._ramp_faults("velocity")
 
     def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
-        return {
-            "initial_velocity": self.initial_velocity or (0.0, 0.0, 0.0),
-            "ramp_duration": self.ramp_duration or 0.0,
-        }
+        initial = {"initial_velocity": self.initial_velocity or (0.0, 0.0, 0.0)}
+        return super()._numbers(gravity) | initial
 
     @property
     def velocities(self) -> np.ndarray:
@@ -393,12 +464,11 @@ class VelocityMotion(TimedMotion):
 
     def _displacement_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Integral (k, 3) [m] of the velocity, and the velocity (k, 3) [m/s] at `times` (k,) [s]."""
-        time_active = self.elapsed(times)
         velocity, initial = self.velocities
         change = velocity - initial
-        lag, remaining = ramp(self.ramp_duration or 0.0, time_active)
-        rate = velocity - np.outer(remaining, change)
-        displacement = np.outer(time_active, velocity) - np.outer(lag, change)
+        time, lag, remaining, share = self._course(times)
+        rate = share[:, None] * (velocity - np.outer(remaining, change))
+        displacement = np.outer(time, velocity) - np.outer(lag, change)
         return displacement, self.is_running(times)[:, None] * rate
 
     @property
@@ -409,7 +479,8 @@ class VelocityMotion(TimedMotion):
 
 
 class Translation(VelocityMotion):
-    """Motion at a velocity [m/s] that is constant, or changes linearly during a ramp at the start.
+    """Motion at a velocity [m/s] that is constant, or changes linearly during ramps at the start and at the
+    end.
 
     >>> gf.Translation(velocity=[0, 0, "10 cm/s"], start="0.5 s")
     Translation(start=0.5, velocity=(0.0, 0.0, 0.1))
@@ -466,17 +537,14 @@ class SurfaceVelocity(VelocityMotion):
         return self._top_speed
 
 
-class SteadyRotation(TimedMotion):
-    """Rotation about an axis at a rate that is constant or changes linearly during a ramp at the start: its
-    angle at given times.
+class SteadyRotation(RampedMotion):
+    """Rotation about an axis at a rate that is constant or changes linearly during ramps at the start and at
+    the end: its angle at given times.
     """
 
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
     angular_velocity: q.AngularVelocity = Field(
         description="angular velocity [rad/s], such as 30 rpm; after the ramp if there is one"
-    )
-    ramp_duration: q.PositiveTime | None = optional(
-        "time from the start during which the rate changes linearly [s]", "no ramp", examples=["0.5 s"]
     )
     initial_angular_velocity: q.AngularVelocity | None = optional(
         "with ramp_duration: angular velocity at the start [rad/s]", "0", examples=[0]
@@ -485,13 +553,12 @@ class SteadyRotation(TimedMotion):
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for an initial angular velocity without ramp."""
         yield from super().faults()
-        yield from self._ramp_faults("angular_velocity", self.ramp_duration)
+        yield from self._ramp_faults("angular_velocity")
 
     def _numbers(self, gravity: Sequence[float]) -> dict[str, Any]:
-        return {
+        return super()._numbers(gravity) | {
             "axis": _unit_vector(self.axis),
             "initial_angular_velocity": self.initial_angular_velocity or 0.0,
-            "ramp_duration": self.ramp_duration or 0.0,
         }
 
     @property
@@ -501,11 +568,10 @@ class SteadyRotation(TimedMotion):
 
     def angle_and_rate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TimedMotion`."""
-        time_active = self.elapsed(times)
         final = self.angular_velocity
-        lag, remaining = ramp(self.ramp_duration or 0.0, time_active)
         change = final - (self.initial_angular_velocity or 0.0)
-        return final * time_active - change * lag, final - change * remaining
+        time, lag, remaining, share = self._course(times)
+        return final * time - change * lag, share * (final - change * remaining)
 
     @property
     def top_rate(self) -> float:
@@ -519,11 +585,11 @@ class SteadyRotation(TimedMotion):
 
 
 class Rotation(SteadyRotation):
-    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at
-    the start.
+    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during ramps at
+    the start and at the end.
 
-    The torque on a wall refers to `point` of its first rotation, which moves with the motions before it,
-    unless the wall has a `torque_point`.
+    The torque on a wall refers to `point` of its first rotation, which moves with the motions before it and
+    with those by forces, unless the wall has a `torque_point`.
 
     >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
     3.141592653589793
@@ -537,6 +603,7 @@ class Rotation(SteadyRotation):
         "end": 1,
         "initial_angular_velocity": 1,
         "ramp_duration": 1,
+        "end_ramp_duration": 1,
     }
 
     kind: Literal["rotation"] = Field("rotation", description="kind of motion")
