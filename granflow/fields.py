@@ -913,10 +913,17 @@ WALL_FORCE_QUANTITIES = by_name(
         Quantity(
             "wall_pressure", "p", "Pa", "sum of the normal forces of the particles over the area of the wall"
         ),
+        Quantity(
+            "wall_power",
+            "P",
+            "W",
+            "power of the motions and of the belt of a wall on the particles, time average",
+        ),
         Quantity("wall_force", "F", "N", "magnitude of the mean force, in the result"),
         Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
         Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
         Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
+        Quantity("wall_power_largest", "", "W", "largest magnitude of the power in a row, in the result"),
         *(
             Quantity(
                 f"wall_{name}_{axis}_last",
@@ -928,6 +935,7 @@ WALL_FORCE_QUANTITIES = by_name(
             for axis in "xyz"
         ),
         Quantity("wall_pressure_last", "", "Pa", "pressure in the last row, in the result"),
+        Quantity("wall_power_last", "", "W", "power in the last row, in the result"),
     )
 )
 """Numbers of each measured wall."""

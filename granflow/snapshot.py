@@ -70,8 +70,8 @@ class Snapshot:
     contacts:   arrays (c,) or (c, 3) of `CONTACT_QUANTITIES`, one entry per contact; None if not requested
     walls:      pose by name, in the order of the scene; empty if not requested
     totals:     numbers of `TOTAL_QUANTITIES`
-    impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and
-                normal force [N s] of the particles on the wall
+    impulses:   time integrals since the start for each measured wall (8,): force [N s], torque [N m s] and
+                normal force [N s] of the particles on the wall, power [J] of the wall on the particles
     collisions: numbers of collisions since the start by energy class (classes + 2,), for contacts with a
                 "particle" and a "wall"; empty without `output.collision_energies`
     wear:       worn volume [m3], normal and tangential work [J] since the start (k, 3) of each worn wall: of

@@ -254,8 +254,9 @@ class Accounting:
         W = sum of dt/2 [F(t) . V(t - dt/2) + F(t) . V(t + dt/2)]
 
     The second term belongs to the next step: `losses_ahead` holds it, and the total without it is the work
-    until t. The loss of a viscous force of the cohesion model is summed in the same way, with the present
-    power in both terms: it does not begin with a small force, as contacts do.
+    until t. The work of each measured wall keeps it, as the impulse of a wall has F(t) dt. The loss of a
+    viscous force of the cohesion model is summed in the same way, with the present power in both terms: it
+    does not begin with a small force, as contacts do.
 
     Reads:   position, walls, image_speed, in_contact, collision_edges
     Writes:  losses, losses_ahead, boundary_work, external_work, gravity_work, impulses, wall_force,
@@ -282,6 +283,8 @@ class Accounting:
         self.longest_time_step = state.parameter("longest_time_step")
         self.loss_count = len(LOSSES)
         self.wall_work = LOSS_WALL_WORK
+        summed = state.plan.features.energy_budget or state.plan.features.wall_forces
+        self.has_power = summed and state.plan.features.moving_walls
         self.viscous_loss = LOSS_VISCOUS
         self.terms_ahead = terms_ahead(state.plan.features)
         self.ahead_count = len(self.terms_ahead)
@@ -308,12 +311,20 @@ class Accounting:
     @ti.func
     def add_wall_force(self, chunk, i, j, pose, normal, found, dt):
         """Add the force [N] and torque [N m] of a wall on particle i to those of the wall, and their work."""
+        power = 0.0 * dt
+        power_ahead = 0.0 * dt
+        if ti.static(self.has_power):
+            power_ahead = self._wall_power(i, j, pose, pose + 1, normal, found)
+            power = self._wall_power(i, j, pose, pose, normal, found)
         if ti.static(self.features.energy_budget and self.features.moving_walls):
-            self._add_wall_work(chunk, i, j, pose, normal, found, dt)
+            self._add_halves(chunk, j, self.wall_work, power, power_ahead, dt)
         if ti.static(self.features.force_controlled_walls):
             self.controlled_walls.add(chunk, self.wall_of(j), found.force)
         if ti.static(self.features.wall_forces):
-            self.impulses.add(chunk, self.wall_of(j), i, pose, normal, found.force, found.torque, dt)
+            mean_power = 0.5 * (power + power_ahead)
+            self.impulses.add(
+                chunk, self.wall_of(j), i, pose, normal, found.force, found.torque, mean_power, dt
+            )
 
     @ti.func
     def _add_losses(self, chunk, j, found):
@@ -339,12 +350,6 @@ class Accounting:
         add_energy(self.control.losses, chunk, term, self.loss_count, shares, work_ahead)
         place = ti.static(self.terms_ahead.index(term))
         add_energy(self.control.losses_ahead, chunk, place, self.ahead_count, shares, work_ahead)
-
-    @ti.func
-    def _add_wall_work(self, chunk, i, j, pose, normal, found, dt):
-        power_ahead = self._wall_power(i, j, pose, pose + 1, normal, found)
-        power = self._wall_power(i, j, pose, pose, normal, found)
-        self._add_halves(chunk, j, self.wall_work, power, power_ahead, dt)
 
     @ti.func
     def _wall_power(self, i, j, pose, step, normal, found):

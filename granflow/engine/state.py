@@ -36,7 +36,7 @@ from granflow.plan.arrays import (
 from granflow.plan.capacities import POSE_COUNT, WORKERS, Capacities, rounded_capacity
 from granflow.plan.cost import is_worth_optimizing
 from granflow.plan.plan import Plan, parameter_count
-from granflow.scene.blocks.motions import TimedMotion
+from granflow.scene.blocks.motions import TimedMotion, rotations_of
 
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
@@ -406,7 +406,10 @@ class Walls:
     surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane;
                        None without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
-    torque_point:      [m], to which measured torques refer after each step, or one if no wall moves
+    torque_point:      [m], to which measured torques refer after each step, or one if no wall moves; without
+                       the displacement by forces
+    has_axis:          1 for walls whose torques refer to the axis of a rotation; None without walls that
+                       forces move
     wear_law:          index in `Plan.wear_laws`, or NOT_WORN
     wear_row:          row in `Control.wear`; of a mesh that of triangle 0 of all meshes, which can be below 0
     wear_coefficient:  worn volume over work [1/Pa] by material of the particle
@@ -432,6 +435,8 @@ class Walls:
         self.impulse_row = block.scalar(ti.i32, count) if measured else None
         steps = POSE_COUNT if moving else 1
         self.torque_point: Any = block.vector(backend.position_real, steps, count) if measured else None
+        moved_by_forces = measured and plan.features.force_controlled_walls
+        self.has_axis: Any = block.scalar(ti.i32, count) if moved_by_forces else None
         self.angular_velocity = block.vector(backend.real, POSE_COUNT + 1, count) if moving else None
         worn = plan.features.wear
         self.wear_law: Any = block.scalar(ti.i32, count) if worn else None
@@ -458,6 +463,9 @@ class Walls:
             if self.impulse_row is not None:
                 measured = plan.scene.measured_walls
                 self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
+            if self.has_axis is not None:
+                turns = wall.spec.torque_point is None and bool(rotations_of(wall.motions))
+                self.has_axis[index] = int(turns)
             for number, group in enumerate(plan.groups if self.holds is not None else ()):
                 self.holds[index, number] = int(wall.spec.holds(group.name))
             for key, (values, given) in self.values.items():

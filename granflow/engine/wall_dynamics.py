@@ -17,12 +17,13 @@ import numpy as np
 from granflow.engine.codes import ABORT_WALL
 from granflow.engine.gravity import Gravity, present_gravity
 from granflow.engine.state import State
-from granflow.engine.sums import carried, exact_totals, shares_rows, to_units
+from granflow.engine.sums import carried, energy_words, exact_totals, shares_rows, to_units
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import (
     CARRY_BITS,
     IMPULSE_SIZE,
     UNIT_ANGULAR_IMPULSE,
+    UNIT_ENERGY,
     UNIT_IMPULSE,
     UNIT_WALL_FORCE,
 )
@@ -393,14 +394,16 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class WallImpulses:
-    """Time integrals of the forces of the particles on measured walls.
+    """Time integrals of the forces of the particles on measured walls, and the work of the walls.
 
-        J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
+        J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt        W += P dt
 
-    with p the `torque_point` of the wall, by default that of its first rotation at this step. Sums are exact,
-    because a wall force is the difference of two sums. Chunks of one particle share rows by atomic additions.
+    with the power P of prescribed motions and belts on the particle (`Accounting`), and p the `torque_point`
+    of the wall, by default that of its first rotation at this step, which forces move with the wall. Sums are
+    exact, because a wall force is the difference of two sums. Chunks of one particle share rows by atomic
+    additions.
 
-    Reads:   position, impulse_row, torque_point
+    Reads:   position, impulse_row, torque_point, has_axis, offset
     Writes:  impulses
     """
 
@@ -413,10 +416,14 @@ class WallImpulses:
         self.rows = state.capacities.wall_rows
         self.measured = state.capacities.measured_walls
         self.moving = state.plan.features.moving_walls
+        self.moved_by_forces = state.plan.features.force_controlled_walls
+        self.dynamics = state.wall_dynamics
+        self.controlled_walls = state.built(ForceControlledWalls)
 
     @ti.func
-    def add(self, chunk, w, i, pose, normal, force, torque, dt):
-        """Add one contact of particle i with wall w in one step: force [N] and torque [N m] on i."""
+    def add(self, chunk, w, i, pose, normal, force, torque, power, dt):
+        """Add one contact of particle i with wall w in one step: force [N], torque [N m] and power [W] on
+        i."""
         row = self.walls.impulse_row[w]
         if row >= 0:
             time = ti.cast(dt, ti.f64)
@@ -430,6 +437,9 @@ class WallImpulses:
                 terms[axis] = to_units(units[UNIT_IMPULSE] * impulse[axis])
                 terms[3 + axis] = to_units(units[UNIT_ANGULAR_IMPULSE] * angular_impulse[axis])
             terms[6] = -to_units(units[UNIT_IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
+            if ti.static(self.moving):
+                work = units[UNIT_ENERGY] * time * ti.cast(power, ti.f64)
+                terms[7], terms[IMPULSE_SIZE + 7] = energy_words(work)
             if ti.static(self.shared):
                 self._add_to_shared(chunk, row, terms)
             else:
@@ -441,14 +451,20 @@ class WallImpulses:
         row = 0
         if ti.static(self.moving):
             row = pose
-        return self.walls.torque_point[row, w]
+        point = self.walls.torque_point[row, w]
+        if ti.static(self.moved_by_forces):
+            if self.walls.has_axis[w] == 1:
+                point += self.controlled_walls.sum_of(self.dynamics.offset, w)
+        return point
 
     @ti.func
     def _add_to_shared(self, chunk, row, terms):
         for k in ti.static(range(IMPULSE_SIZE)):
             high = terms[k] >> CARRY_BITS
             ti.atomic_add(self.impulses[chunk % self.rows, row][k], terms[k] - (high << CARRY_BITS))
-            ti.atomic_add(self.impulses[chunk % self.rows, row][IMPULSE_SIZE + k], high)
+            ti.atomic_add(
+                self.impulses[chunk % self.rows, row][IMPULSE_SIZE + k], terms[IMPULSE_SIZE + k] + high
+            )
 
     @ti.func
     def carry(self, chunk):
@@ -461,14 +477,20 @@ class WallImpulses:
 def wall_impulses(state: State) -> dict[str, np.ndarray]:
     """Time integrals since the start of each measured wall by name.
 
-    Returns:  arrays (7,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of
-              the particles on the wall; empty without measured walls
+    Returns:  arrays (8,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of
+              the particles on the wall, and work [J] of the wall, with that of motions by forces, on the
+              particles; empty without measured walls
     """
     if state.control.impulses is None:
         return {}
     sums = state.ranks.total(state.control.impulses.to_numpy())
     units = state.plan.sum_units
-    unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse])
-    return {
+    unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse, units.energy])
+    found = {
         name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.scene.measured_walls)
     }
+    if state.wall_dynamics is not None:
+        for controlled, work in zip(state.plan.controlled_motions, _synchronized(state)[1], strict=True):
+            if controlled.name in found:
+                found[controlled.name][7] += work
+    return found

@@ -485,17 +485,19 @@ def _first_reached(times: np.ndarray, share: np.ndarray, share_reached: float) -
 
 # Force on a wall
 
-NO_IMPULSE: np.ndarray = np.zeros(7)
-"""Impulse (3,) [N s], angular impulse (3,) [N m s] and normal impulse [N s] before the first step."""
+NO_IMPULSE: np.ndarray = np.zeros(8)
+"""Impulse (3,) [N s], angular impulse (3,) [N m s], normal impulse [N s] and work [J] before the first
+step."""
 
 
 class WallForceMeter:
-    """Force, torque and pressure of the particles on one wall, each a mean over the time between two samples.
+    """Force, torque, pressure and power of one wall, each a mean over the time between two samples.
 
         mean force = (J(t2) - J(t1)) / (t2 - t1),      J: accumulated impulse
 
     `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure. Force [N] and torque [N
-    m] are those of the particles on the wall; the pressure [Pa] is the normal force over the area.
+    m] are those of the particles on the wall; the pressure [Pa] is the normal force over the area. The power
+    [W] is that of the wall on the particles: positive if it drives them.
     """
 
     def __init__(self, wall: str, area: float | None) -> None:
@@ -509,10 +511,12 @@ class WallForceMeter:
         self._mean = NO_IMPULSE
         self._max_force = 0.0
         self._max_normal_force = 0.0
+        self._max_power = 0.0
         self._time_before = 0.0
         self._impulse_before = NO_IMPULSE
         self._max_force_before = 0.0
         self._max_normal_force_before = 0.0
+        self._max_power_before = 0.0
 
     def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
         """Compute the means since the last sample, or since the start; reads `impulses` of the snapshot.
@@ -525,10 +529,12 @@ class WallForceMeter:
             self._impulse = self._impulse_before
             self._max_force = self._max_force_before
             self._max_normal_force = self._max_normal_force_before
+            self._max_power = self._max_power_before
         self._time_before = self._time
         self._impulse_before = self._impulse
         self._max_force_before = self._max_force
         self._max_normal_force_before = self._max_normal_force
+        self._max_power_before = self._max_power
         time = snapshot.time
         impulse = snapshot.impulses[self.wall]
         if snapshot.stage != self._stage:
@@ -539,12 +545,13 @@ class WallForceMeter:
             self._mean = (impulse - self._impulse) / (time - self._time)
             self._max_force = max(self._max_force, _length(self._mean[:3]))
             self._max_normal_force = max(self._max_normal_force, float(self._mean[6]))
+            self._max_power = max(self._max_power, abs(float(self._mean[7])))
         self._time = time
         self._impulse = impulse
 
     def readings(self) -> dict[str, float]:
-        """Return means between the last two samples: force [N], torque [N m] and, with an area, pressure
-        [Pa]."""
+        """Return means between the last two samples: force [N], torque [N m], with an area pressure [Pa], and
+        power [W]."""
         return self._named(self._mean)
 
     def result(self) -> dict[str, float]:
@@ -552,8 +559,9 @@ class WallForceMeter:
         the run.
 
         The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes
-        of the mean vectors; `wall_force_largest` [N] and `wall_pressure_largest` [Pa] are the largest means
-        between two samples. Names of the values between the last two samples end with `_last`.
+        of the mean vectors; `wall_force_largest` [N], `wall_pressure_largest` [Pa] and `wall_power_largest`
+        [W] are the largest magnitudes of means between two samples. Names of the values between the last two
+        samples end with `_last`.
         """
         duration = self._time - self._stage_time
         mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
@@ -562,6 +570,7 @@ class WallForceMeter:
         found["wall_force_largest"] = self._max_force
         if self.area is not None:
             found["wall_pressure_largest"] = self._max_normal_force / self.area
+        found["wall_power_largest"] = self._max_power
         return found
 
     def state_dict(self) -> dict[str, Any]:
@@ -573,12 +582,13 @@ class WallForceMeter:
         vars(self).update(saved)
 
     def _named(self, mean: np.ndarray) -> dict[str, float]:
-        """Return the components of a mean (7,) by name: force [N], torque [N m] and, with an area, pressure
-        [Pa]."""
+        """Return the components of a mean (8,) by name: force [N], torque [N m], with an area pressure [Pa],
+        and power [W]."""
         names = [f"wall_{quantity}_{axis}" for quantity in ("force", "torque") for axis in "xyz"]
         found = dict(zip(names, mean[:6].tolist(), strict=True))
         if self.area is not None:
             found["wall_pressure"] = float(mean[6]) / self.area
+        found["wall_power"] = float(mean[7])
         return found
 
 

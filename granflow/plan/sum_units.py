@@ -52,9 +52,9 @@ def terms_ahead(features: Features) -> tuple[int, ...]:
     return (*walls, LOSS_VISCOUS) if features.viscous_cohesion else walls
 
 
-IMPULSE_SIZE = 7
-"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force
-(1)."""
+IMPULSE_SIZE = 8
+"""Components that each chunk sums for a wall: time integrals of force (3), torque (3), normal force (1) and
+power (1)."""
 WEAR_SIZE = 3
 """Sums of each worn face: volume, normal and tangential work."""
 

@@ -286,6 +286,8 @@ _MOVING = _AT_REST | {
     "wall pressure": ("wall_pressure",),
 }
 """The same for walls that move; `result.json` contains all numbers of all measured walls."""
+_DRIVING = {"wall power": ("wall_power",)}
+"""Row of a wall with a power, such as a belt, which does not move."""
 
 
 def closing_table(result: Result, title: str = "Result", moving: Collection[str] = ()) -> "Table":
@@ -384,9 +386,15 @@ def _wall_force_rows(result: Result, moving: Collection[str]) -> list[tuple[str,
             f"{unit_of(f'{names[0]}.{wall}')}, {over}",
         )
         for wall, readings in result.wall_forces.items()
-        for words, names in (_MOVING if wall in moving else _AT_REST).items()
+        for words, names in _rows_of_wall(readings, wall in moving).items()
         if readings.keys() >= set(names)
     ]
+
+
+def _rows_of_wall(readings: Mapping[str, float], is_moving: bool) -> dict[str, tuple[str, ...]]:
+    """Words and numbers of the rows of a measured wall."""
+    rows = _MOVING if is_moving else _AT_REST
+    return rows | _DRIVING if readings.get("wall_power") else rows
 
 
 def _unit_text(name: str, number: float) -> str:

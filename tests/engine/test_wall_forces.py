@@ -13,6 +13,8 @@ from granflow.simulation import Simulation
 MASS = 4.0 / 3.0 * np.pi * 0.005**3 * 2500.0
 GRAVITY = 9.81
 EPS = np.finfo(float).eps
+ACCELERATION = 800.0
+"""Of a wall that a force moves [m/s2]."""
 
 
 def shaken_box():
@@ -63,7 +65,7 @@ def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
     momentum.
 
     Wall torques refer to the point of the wall's rotation, or to a given one: (x - p) x F integrates to
-    L - p x J.
+    L - p x J. The work of a wall that rotates steadily is its angular impulse times the angular velocity.
     """
     scene = shaken_box()
     snapshots = run_and_sample(scene, 0.004)
@@ -78,29 +80,44 @@ def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
         - 0.5 * snapshots[-1].time / snapshots[-1].step * (rate_before - rate_after)
     )
     assert list(snapshots[-1].impulses) == list(scene.walls)
+    lid = snapshots[-1].impulses["high_z"]
+    assert lid[7] == pytest.approx(-60.0 * lid[5], rel=1e-9) and lid[7] > 0.0
+    assert snapshots[-1].impulses["low_x"][7] == 0.0
     assert np.abs(impulses).max() > 0.1 * scale, "the wall impulses are a large part of the momentum"
     assert np.abs(residual[0]).max() < snapshots[-1].step * EPS * scale
     assert np.abs(residual[1]).max() < snapshots[-1].step * EPS * scale * 0.06
 
 
-@pytest.mark.parametrize("moves", [True, False])
-def test_torque_refers_to_the_axis_that_moves_with_the_motions_before_the_rotation(taichi_f64, moves):
+@pytest.mark.parametrize("moves", ["before", "after", "force", "fixed point"])
+def test_torque_refers_to_the_axis_that_moves_with_the_wall(taichi_f64, moves):
     """A particle at x = 10 mm rests on a turntable without friction: its weight m g has the torque (x - p) m g
-    about y. The axis p = 20 mm + v t moves with a translation before the rotation, so that the mean over T is
-    (-10 mm - v T / 2) m g; after the rotation, the translation does not move it.
+    about y. The axis p = 20 mm + v t moves with a translation before the rotation, so that the mean over n steps
+    is (-10 mm - v T / 2 (1 + 1/n)) m g; after the rotation, the translation does not move it.
+
+    A force moves it by p = 20 mm + a t^2 / 2, of which the mean is a dt^2 / 2 (n + 1) (2 n + 1) / 6. A given
+    point remains.
     """
     k = theory.hertz_stiffness(SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2)), 0.005)
     height = 0.005 - (MASS * GRAVITY / k) ** (2.0 / 3.0)
     travel = {"kind": "translation", "velocity": [2.0, 0, 0]}
     turn = {"kind": "rotation", "point": [0.02, 0, 0], "axis": [0, 0, 1], "angular_velocity": 3.0}
-    table = plane([0, 0, 0], [0, 0, 1]) | {"motion": [travel, turn] if moves else [turn, travel]}
+    push = {"kind": "free", "direction": [1, 0, 0], "mass": 1.0, "force": ACCELERATION}
+    motions = {"before": [travel, turn], "after": [turn, travel]}.get(moves, [push, turn])
+    table = plane([0, 0, 0], [0, 0, 1]) | {"motion": motions}
+    if moves == "fixed point":
+        table["torque_point"] = [0.02, 0, 0]
     scene = build_scene(
         {"ball": particle_group([[0.01, 0.0, height]])}, walls={"table": table}, normal="hertz",
         gravity=[0.0, 0.0, -GRAVITY], run={"duration": 0.004, "velocity_max": 0.5},
         output={"interval": 1.0, "wall_forces": True},
     )  # fmt: skip
     last = run_and_sample(scene, 0.004)[-1]
-    arm = -0.01 - (0.5 * 2.0 * (last.time + last.time / last.step) if moves else 0.0)
+    steps = last.step
+    mean_travel = {
+        "before": 0.5 * 2.0 * last.time * (1 + 1 / steps),
+        "force": 0.5 * ACCELERATION * last.time**2 * (steps + 1) * (2 * steps + 1) / (6 * steps**2),
+    }
+    arm = -0.01 - mean_travel.get(moves, 0.0)
     weight = MASS * GRAVITY * last.time
     np.testing.assert_allclose(last.impulses["table"][[2, 4]], [-weight, arm * weight], rtol=1e-9)
 

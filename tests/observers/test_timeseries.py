@@ -128,7 +128,7 @@ def pushed(time, stage="run"):
     particles = particles_of(30, position=position, mass=np.full(30, 0.2), insertion_time=np.zeros(30))
     impulse = 8.0 * time + (time > 0.3)
     snapshot = snapshot_of(time=time, stage=stage, particles=particles, totals={})
-    return replace(snapshot, impulses={"lid": np.array([0, 0, impulse, 0, 0, 0, impulse])})
+    return replace(snapshot, impulses={"lid": np.array([0, 0, impulse, 0, 0, 0, impulse, 0])})
 
 
 TIMES = [0.0, 0.1, 0.2, 0.3]

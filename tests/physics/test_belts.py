@@ -82,6 +82,8 @@ def test_spheres_on_belts_slip_and_then_roll(tmp_path, taichi_f64):
         np.testing.assert_allclose(
             force, [-FRICTION * MASS * GRAVITY, 0.0, -MASS * GRAVITY], rtol=0.01, atol=1e-9
         )
+        power = slipping.impulses[name][7] / slipping.time
+        assert power == pytest.approx(FRICTION * MASS * GRAVITY * SPEED, rel=0.01)
         if name != "carrier":
             np.testing.assert_array_equal(rolling.walls[name].offset, 0.0)
     np.testing.assert_allclose(

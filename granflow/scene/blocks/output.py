@@ -237,7 +237,8 @@ class Output(Model):
     wall_forces: FlagOrNames = Field(
         False,
         description=(
-            "measure force, torque and pressure of the particles on all walls (true) or on those in a list"
+            "measure force, torque and pressure of the particles on walls, and the power of the walls; true: "
+            "all walls"
         ),
     )
     collision_energies: CollisionEnergies | None = optional(
