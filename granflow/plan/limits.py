@@ -8,6 +8,8 @@ one step.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from math import sqrt
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from granflow.plan.pair_case import PairCase
 from granflow.plan.stages import always, nominal_times
 from granflow.plan.time_step import STEP_SHARE
 from granflow.plan.walls import PlannedWall
-from granflow.scene.blocks.motions import rotations_of
+from granflow.scene.blocks.motions import poses_at, rotations_of
 from granflow.visible_text import alternatives
 
 # The domain: width of periodic boxes, walls that cross periodic boundaries, and domains that expand.
@@ -58,14 +60,17 @@ def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
 
 MOST_PROBES = 50
 """Largest number of displacements of a wall at which it is compared."""
+TURNS, TURN_SAMPLES = 40, 33
+"""Number of poses of a wall that rotates, and of points along each side of the faces then."""
+GOLDEN_RATIO = 0.5 * (1.0 + sqrt(5.0))
 
 
 def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
     """Raise SceneError for a wall within `reach` [m] of a periodic boundary that does not continue across it.
 
     The distance from the wall is compared at SAMPLES x SAMPLES points of opposite faces, with the wall at
-    rest, and with the wall displaced by each half of the width of the box along its translations. `reach`:
-    largest radius plus skin.
+    rest, and with the wall displaced by each half of the width of the box along its translations; at fewer
+    points in poses of a wall that rotates. `reach`: largest radius plus skin.
     """
     periodic_box = scene.domain.periodic_box()
     for axis in periodic_box.axes:
@@ -84,6 +89,14 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
                     f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} ends, and moves along "
                     f"the periodic axis {AXES[axis]}: it would leave one end of the box without a wall. Use "
                     "a plane, which is infinite (shape: plane), or extend the wall beyond the box by its way."
+                )
+            turned = _turned_faces(scene, wall, axis, reach)
+            if any(_is_cut(wall, *each, reach) for each in turned):
+                raise SceneError(
+                    f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} rotates through the "
+                    f"ends of the periodic axis {AXES[axis]}, where it has no periodic image. Keep it "
+                    f"{reach:.4g} m from both ends as it turns, or make the domain not periodic along "
+                    f"{AXES[axis]}."
                 )
 
 
@@ -112,6 +125,36 @@ def _slides(scene: Scene, wall: PlannedWall, axis: int) -> Iterator[np.ndarray]:
             yield farthest
 
 
+def _turned_faces(
+    scene: Scene, wall: PlannedWall, axis: int, reach: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Points (n, 3) [m] of the low face along a periodic axis, and the vector (3,) [m] to the opposite face,
+    in the frame of a wall that rotates, at TURNS times of the run; those at which the wall is near a face.
+
+    The times k T g, modulo T, with the golden ratio g, are no multiples of a period.
+    """
+    motions = [each.at(nominal_times(scene.schedule)) for each in wall.motions]
+    if not rotations_of(motions):
+        return
+    periodic_box = scene.domain.periodic_box()
+    face = _face(periodic_box, axis, TURN_SAMPLES)
+    along = periodic_box.width[axis] * np.eye(3)[axis]
+    times = scene.longest_duration * (np.arange(TURNS) * GOLDEN_RATIO % 1.0)
+    poses = poses_at(motions, times)
+    ends = None
+    if wall.spec.is_bounded:
+        points = wall.surface.enclosing_points()
+        ends = np.array(list(product(*zip(points.min(axis=0), points.max(axis=0), strict=True))))
+    low = periodic_box.low[axis]
+    high = low + periodic_box.width[axis]
+    for rotation, offset in zip(poses.rotation, poses.offset, strict=True):
+        if ends is not None:
+            moved = ((ends - poses.pivot) @ rotation.T + poses.pivot + offset)[:, axis]
+            if low + reach < moved.min() and moved.max() < high - reach:
+                continue
+        yield (face - poses.pivot - offset) @ rotation + poses.pivot, along @ rotation
+
+
 def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> None:
     """Raise SceneError for an unbounded rotating wall in an expanding domain: its velocity has no upper
     bound."""
@@ -128,9 +171,9 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
             )
 
 
-def _face(periodic_box: PeriodicBox, axis: int) -> np.ndarray:
-    """Uniformly spaced points (SAMPLES^2, 3) [m] on the low face along an axis (0, 1 or 2)."""
-    shares = np.linspace(0.0, 1.0, SAMPLES)
+def _face(periodic_box: PeriodicBox, axis: int, samples: int = SAMPLES) -> np.ndarray:
+    """Uniformly spaced points (samples^2, 3) [m] on the low face along an axis (0, 1 or 2)."""
+    shares = np.linspace(0.0, 1.0, samples)
     coordinates = [np.zeros(1) if each == axis else shares for each in range(3)]
     points = np.stack(np.meshgrid(*coordinates, indexing="ij"), axis=-1).reshape(-1, 3)
     return periodic_box.low + points * periodic_box.width

@@ -8,6 +8,7 @@ times when the stages begin.
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import inf
 
 import numpy as np
@@ -119,6 +120,10 @@ def meshes_of(walls: Sequence[PlannedWall]) -> dict[int, Mesh]:
 
 # Largest speeds of walls, before the run.
 
+NO_POINTS: np.ndarray = np.zeros((0, 3))
+CORNERS: np.ndarray = np.array(list(product((-1.0, 1.0), repeat=3)))
+"""Corners of a cube with the half width 1."""
+
 
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
     """Largest speed [m/s] of the geometry of each wall within the domain, by name.
@@ -151,12 +156,14 @@ def _chain_speed(
     domain: Domain,
     duration: float,
     reach_about: Callable[[np.ndarray, np.ndarray], float],
+    attached: np.ndarray = NO_POINTS,
 ) -> float:
     """Sum of the largest speeds [m/s] of all motions of a chain.
 
-    The last motion that is a rotation has the reach of the surface about its axis (`reach_about`). For an
-    earlier one, the motions after it move the surface in a ball about a point of its axis, which each of them
-    enlarges. Motions after a placement refer to space; the surface at rest is then inversely placed.
+    The last motion that is a rotation has the reach of the surface about its axis (`reach_about`), or of the
+    `attached` points (n, 3) [m] that move with it. For an earlier one, the motions after it move both in a
+    ball about a point of its axis, which each of them enlarges. Motions after a placement refer to space; the
+    surface at rest is then inversely placed.
     """
     speeds = []
     travel = 0.0  # of translations in the frame of the present motion
@@ -173,9 +180,12 @@ def _chain_speed(
             turned = np.array(placement.rotation).T
             point = turned @ (in_space - np.array(placement.translation))
             axis = turned @ axis_in_space
-        center, radius = ball or (point, _radius_about(surface, point))
+        center, radius = ball or (point, _radius_about(surface, attached, point))
         radius += travel + float(np.linalg.norm(point - center))
-        reach = radius if ball is not None or travel > 0.0 else reach_about(point, axis)
+        reach = radius
+        if ball is None and travel == 0.0:
+            beside = distance_from_axis(attached, point, axis).max(initial=0.0)
+            reach = max(reach_about(point, axis), float(beside))
         carriers = motions[:index]
         if math.isinf(reach) or not (
             domain.on_exit == "expand" or any(each.rotates or each.force_controlled for each in carriers)
@@ -188,11 +198,31 @@ def _chain_speed(
     return sum(reversed(speeds))
 
 
-def _radius_about(surface: Surface, point: np.ndarray) -> float:
-    """Largest distance [m] of a surface from a point; infinite for an unbounded one."""
+def _radius_about(surface: Surface, attached: np.ndarray, point: np.ndarray) -> float:
+    """Largest distance [m] of a surface and points (n, 3) [m] from a point; infinite for an unbounded
+    surface."""
     if surface.area is None:
         return math.inf
-    return float(np.linalg.norm(surface.enclosing_points() - point, axis=1).max())
+    points = np.concatenate([surface.enclosing_points(), attached])
+    return float(np.linalg.norm(points - point, axis=1).max())
+
+
+def _attached_points(scene: Scene, wall: str) -> np.ndarray:
+    """Points (n, 3) [m], of which the bounding box contains the particles that are attached to a wall.
+
+    Of particles from a file it is the domain.
+    """
+    found = [NO_POINTS]
+    for group in scene.particles.values():
+        if group.attached_to == wall:
+            place = group.insert.place
+            if place is not None:
+                found.append(np.array(list(product(*place.extent()))))
+                continue
+            radius = 0.5 * group.diameters[1]
+            given = np.array(group.insert.points).reshape(-1, 3)
+            found += [given + side for side in radius * CORNERS] if len(given) else [scene.domain.corners]
+    return np.concatenate(found)
 
 
 def _reach_of(domain: Domain, point: np.ndarray, axis: np.ndarray) -> float:
@@ -204,8 +234,8 @@ def surface_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
     """Largest surface speed [m/s] of all walls, including rotation in place, belts and force-controlled
     motion.
 
-    Points of a rotating wall count up to its largest distance from the axis, or that of the domain if this is
-    smaller: contacts are within it.
+    Points of a rotating wall, and of the particles that are attached to it, count up to the largest distance
+    from the axis, or that of the domain if this is smaller: contacts are within it.
     """
     extent = scene.domain.diagonal
     times = always(scene.schedule)
@@ -226,6 +256,7 @@ def surface_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
             scene.domain,
             scene.longest_duration,
             wall.surface.farthest_from,
+            _attached_points(scene, wall.name),
         )
         fastest = max(fastest, prescribed + belt + controlled_speed)
     return fastest

@@ -208,6 +208,43 @@ def test_a_periodic_mesh_continues_beyond_both_ends(beyond, tmp_path, monkeypatc
             plan_for(scene)
 
 
+DISC = {"shape": "disc", "center": [0.05, 0.05, 0.05], "radius": 0.03}
+BAR = {"shape": "rectangle", "corner": [-0.02, 0.05, 0.05], "sides": [[0.14, 0, 0], [0, 0.02, 0]]}
+SHORT = {"shape": "rectangle", "corner": [0.02, 0.03, 0.05], "sides": [[0.06, 0, 0], [0, 0.04, 0]]}
+"""A bar along the periodic axis x, through both ends, and one in the middle of the box, 20 mm from them."""
+
+
+@pytest.mark.parametrize(
+    ("wall", "axis", "fits"),
+    [
+        (DISC | {"normal": [1, 0, 0]}, [1, 0, 0], True),
+        (DISC | {"normal": [0, 0, 1], "radius": 0.048}, [0, 0, 1], True),  # from 2 to 98 mm, but round
+        (DISC | {"normal": [0, 0, 1], "radius": 0.048}, [0, 1, 0], False),
+        (plane([0, 0, 0.02], [0, 0, 1]), [0, 0, 1], True),
+        (plane([0, 0, 0.02], [0, 0, 1]), [1, 0, 0], True),
+        (plane([0, 0, 0.02], [0, 0, 1]), [0, 1, 0], False),
+        ({"shape": "cylinder", "from": [0, 0.05, 0.05], "to": [0.1, 0.05, 0.05], "radius": 0.04}, [1, 0, 0], True),
+        (BAR, [1, 0, 0], True),
+        (BAR, [0, 0, 1], False),
+        (SHORT, [0, 0, 1], True),
+        (SHORT | {"corner": [0.02, 0.01, 0.05], "sides": [[0.06, 0, 0], [0, 0.08, 0]]}, [0, 0, 1], False),
+    ],
+)  # fmt: skip
+def test_wall_that_rotates_through_a_periodic_boundary_is_rejected(wall, axis, fits):
+    """It has no image there, unless its image is itself. The last bar reaches 50 mm sqrt(0.36 + 0.64) from its
+    center to the ends."""
+    turn = {"kind": "rotation", "point": [0.05, 0.05, 0.05], "axis": axis, "angular_velocity": 3.0}
+    scene = build_scene(
+        {"ball": particle_group([[0.05, 0.05, 0.08]])}, walls={"wall": {"material": "glass", "motion": turn} | wall},
+        domain=domain([0.1] * 3, "x"), run={"duration": 5.0, "velocity_max": 1.0},
+    )  # fmt: skip
+    if fits:
+        assert plan_for(scene).walls
+    else:
+        with pytest.raises(SceneError, match="walls.wall rotates through the ends of the periodic axis x"):
+            plan_for(scene)
+
+
 SLAB = {"shape": "rectangle", "corner": [0, 0, 0.02], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
 LONG = SLAB | {"corner": [-0.07, 0, 0.02], "sides": [[0.25, 0, 0], [0, 0.1, 0]]}
 

@@ -433,6 +433,26 @@ def speed_of_walls(scene):
     return surface_speed(scene, plan_for(scene).walls)
 
 
+def test_particles_attached_to_a_rotating_wall_count_in_its_speed():
+    """w (L + R): L = 30 mm from the axis to the center of the farthest particle, up to the corner of the cube
+    around it; in a region, to the farthest corner."""
+    turn = {"kind": "rotation", "point": [0, 0, 0], "axis": [0, 0, 1], "angular_velocity": 20.0}
+    shaft = {
+        "shape": "cylinder", "from": [0, 0, -0.01], "to": [0, 0, 0.01], "radius": 0.005, "material": "glass",
+        "motion": turn,
+    }  # fmt: skip
+    pins = particle_group([[0.01, 0, 0], [0.0, 0.03, 0]], 0.01, fixed={"to": "shaft"})
+    region = {"box": {"min": [0.0, 0.0, -0.01], "max": [0.03, 0.04, 0.01]}}
+    for group, low, high in (
+        (pins, 20.0 * 0.035, 20.0 * (0.03 + 0.005 * 2**0.5)),
+        (pins | {"insert": {"kind": "lattice", "region": region}, "count": 2}, 20.0 * 0.05, 20.0 * 0.05),
+        (None, 20.0 * 0.005, 20.0 * 0.005),
+    ):
+        groups = {"ball": particle_group([[0.05, 0.05, 0.0]], 0.01)} | ({"pins": group} if group else {})
+        speed = speed_of_walls(build_scene(groups, walls={"shaft": shaft}))
+        assert low * (1 - 1e-9) <= speed <= high * (1 + 1e-9)
+
+
 def test_servos_of_different_stages_do_not_add_their_speeds():
     slow, fast = (
         {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": v} for v in (0.1, 0.3)
