@@ -6,10 +6,10 @@ other warnings are rows (key, whether it is a mistake, sentence) of `value_rows`
 key and the sentence where the condition takes a computation.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, combinations, product
-from math import ceil, inf, pi, sqrt
+from math import ceil, expm1, inf, pi, sqrt
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from granflow.plan.overlaps import (
     solid_volume,
 )
 from granflow.plan.plan import Forecast, Plan
-from granflow.plan.stages import StageTimes, nominal_times
+from granflow.plan.stages import StageTimes, nominal_times, spread_times
 from granflow.plan.time_step import ImpactVelocity
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, surface_speed, wall_speeds
@@ -60,6 +60,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         turned_out_findings(plan, times),
         region_findings(plan, times),
         servo_findings(plan, times),
+        free_wall_findings(plan, times),
         sideways_findings(plan),
         backward_findings(plan),
         flow_findings(plan),
@@ -611,9 +612,7 @@ def unreachable_walls(scene: Scene, walls: Sequence[PlannedWall], times: StageTi
 
 
 TURN_SAMPLES = 500
-"""Times of the run at which the place of a rotating wall is computed. They are multiples of the golden ratio
-modulo 1, so that no period of a rotation is missed."""
-GOLDEN = 0.5 * (sqrt(5.0) - 1.0)
+"""Times of the run at which the place of a rotating wall is computed."""
 OUTERMOST = np.array([each for each in product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
 """Directions (26, 3) along which the outermost points of a wall represent it."""
 
@@ -627,7 +626,7 @@ def turned_out_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
     diameter = max(group.outer_diameters[1] for group in scene.particles.values())
     bounded = [k for k, axis in enumerate(AXES) if axis not in scene.domain.periodic]
     low, high = np.array(scene.domain.min)[bounded], np.array(scene.domain.max)[bounded]
-    moments = np.sort(np.modf(GOLDEN * np.arange(1, TURN_SAMPLES + 1))[0]) * end
+    moments = spread_times(TURN_SAMPLES, end)
     for wall in plan.walls if scene.domain.on_exit != "expand" and bounded else ():
         motions = [each.at(times) for each in wall.motions]
         turns = [index for index, each in enumerate(motions) if each.rotates]
@@ -690,30 +689,14 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
     neither has a forecast. The area of a servo between walls is that of its section at the start.
     """
     scene = plan.scene
-    groups = scene.particles.values()
-    end = max(end for _, end in times.values())
-
-    def span(motion: ControlledMotion) -> tuple[float, float]:
-        """Start [s] of a servo, and the time [s] in which it is active."""
-        given = scene.walls[motion.name].motion[motion.motion]
-        if given.stages is not None:
-            return times[given.stages[0]][0], times[given.stages[-1]][1] - times[given.stages[0]][0]
-        start = given.start or 0.0
-        return start, max(min(end if given.end is None else given.end, end) - start, 0.0)
-
-    for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
-        first = min((each for each in plan.controlled_motions if each.name == name), key=lambda m: span(m)[0])
+    for name, first, duration in _first_motions(plan, times):
         area = first.area_at(plan.walls)
         down = abs(float(np.dot(scene.usual_gravity, first.direction)))
         is_along = down >= (1.0 - LEVEL) * float(np.linalg.norm(scene.usual_gravity))
         if area is None or not is_along or not all(each.follows_force for each in scene.walls[name].motion):
             continue
-        is_loose = plan.laws.cohesion is not None or any(group.shape.packs_loosely for group in groups)
-        height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
-        layer = max(group.outer_diameters[1] for group in groups)
-        distance = _free_path(plan, first) - height - layer
+        distance = _free_path(plan, first, 1.0)[0] - _bed_height(plan, area)
         velocity, limit = first.spec.approach(first.numbers, first.force)
-        duration = span(first)[1]
         if velocity * duration < distance:
             yield (
                 ("walls", name, "motion"),
@@ -722,6 +705,101 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
                 f"reach {first.force:.3g} N. "
                 f"{first.spec.remedy_of_distance(first.numbers, distance, duration)}",
             )
+
+
+def _first_motions(plan: Plan, times: StageTimes) -> Iterator[tuple[str, ControlledMotion, float]]:
+    """Name of each wall that forces move, its first motion by forces, and the time [s] in which this is
+    active."""
+    end = max(end for _, end in times.values())
+
+    def span(motion: ControlledMotion) -> tuple[float, float]:
+        given = plan.scene.walls[motion.name].motion[motion.motion]
+        if given.stages is not None:
+            return times[given.stages[0]][0], times[given.stages[-1]][1] - times[given.stages[0]][0]
+        start = given.start or 0.0
+        return start, max(min(end if given.end is None else given.end, end) - start, 0.0)
+
+    for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
+        first = min((each for each in plan.controlled_motions if each.name == name), key=lambda m: span(m)[0])
+        yield name, first, span(first)[1]
+
+
+def _bed_height(plan: Plan, area: float) -> float:
+    """Height [m] of a loose bed of all particles over an area [m2], with one layer on its surface."""
+    groups = plan.scene.particles.values()
+    is_loose = plan.laws.cohesion is not None or any(group.shape.packs_loosely for group in groups)
+    height = solid_volume(plan.scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
+    return height + max(group.outer_diameters[1] for group in groups)
+
+
+LEAST_EXCESS = 1.1
+"""Speed of the impact of a free wall over `run.velocity_max` above which there is a warning."""
+
+
+def free_wall_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
+    """Free walls that hit the bed faster than the given `run.velocity_max`, and those that leave the domain.
+
+    Without contacts a wall of mass M falls with M dv/dt = F - c v, with the weight in F. Along gravity it
+    hits a loose bed of all particles before the next wall, as in `servo_findings`; against gravity, with no
+    wall ahead, nothing stops a wall with a force that could lift all particles. Walls that have other
+    motions, too, scenes without gravity and domains that expand have no forecast.
+    """
+    scene = plan.scene
+    magnitude = float(np.linalg.norm(scene.usual_gravity))
+    densest = max(scene.materials[group.material].density for group in scene.particles.values())
+    weight = magnitude * densest * solid_volume(scene.particles)
+    for name, first, duration in _first_motions(plan, times):
+        area = first.area_at(plan.walls)
+        is_alone = len(scene.walls[name].motion) == 1 and first.spec.is_body
+        if area is None or not is_alone or not first.force or not magnitude:
+            continue
+        if scene.domain.on_exit == "expand":
+            continue
+        way = float(np.sign(first.force))
+        along = way * float(np.dot(scene.usual_gravity, first.direction))
+        length, ends_at_wall = _free_path(plan, first, way)
+        if ends_at_wall and along >= (1.0 - LEVEL) * magnitude:
+            speed, _ = _fall(first.numbers, max(length - _bed_height(plan, area), 0.0), duration)
+            given = scene.run.velocity_max
+            if given is not None and speed > LEAST_EXCESS * given:
+                yield (
+                    ("walls", name, "motion"),
+                    f": the free wall hits the bed with about {speed:.3g} m/s, more than run.velocity_max "
+                    f"{given:.3g} m/s, for which the time step is chosen. Place it closer to the bed, give "
+                    f"it damping, or set run.velocity_max to {speed:.2g} m/s.",
+                )
+        elif not ends_at_wall and along < 0.0 and abs(first.force) > weight:
+            _, fallen = _fall(first.numbers, length, duration)
+            if fallen < duration:
+                yield (
+                    ("walls", name, "motion"),
+                    ": nothing stops the free wall, which its force moves against gravity: without particles "
+                    f"on it, it leaves the domain after {fallen:.3g} s. Give it a smaller force, or the motion "
+                    "an end.",
+                )
+
+
+def _fall(numbers: Mapping[str, float], distance: float, duration: float) -> tuple[float, float]:
+    """Speed [m/s] at the end of a distance [m] from rest, and the time [s] it takes; at most for a duration.
+
+    With damping c, F = M a and u = F / c: v = u (1 - exp(-c t / M)), x = u t - v M / c.
+    """
+    force, mass, damping = abs(numbers["force"]), numbers["mass"], numbers["damping"]
+
+    def state(time: float) -> tuple[float, float]:
+        decay = damping * time / mass
+        if decay < 1e-6:
+            return force / mass * time, 0.5 * force / mass * time**2
+        velocity = -force / damping * expm1(-decay)
+        return velocity, force / damping * time - velocity * mass / damping
+
+    low, high = 0.0, duration
+    if state(duration)[1] <= distance:
+        return state(duration)[0], duration
+    while high - low > 1e-6 * duration:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if state(middle)[1] < distance else (low, middle)
+    return state(high)[0], high
 
 
 def sideways_findings(plan: Plan) -> Iterator[Finding]:
@@ -766,23 +844,24 @@ def backward_findings(plan: Plan) -> Iterator[Finding]:
             )
 
 
-def _free_path(plan: Plan, motion: ControlledMotion) -> float:
-    """Distance [m] from the center of a servo wall along its direction to the next wall or the end of the
-    domain."""
-    direction = np.array(motion.direction)
+def _free_path(plan: Plan, motion: ControlledMotion, way: float) -> tuple[float, bool]:
+    """Distance [m] from the center of a wall that forces move along its direction (`way` 1) or against it (-1)
+    to the next wall or the end of the domain, and whether it is a wall."""
+    direction = way * np.array(motion.direction)
     low, high = np.array(plan.scene.domain.min), np.array(plan.scene.domain.max)
     center = plan.walls[motion.wall].surface.triangles(0.5 * (low + high), 0.0)[0].mean(axis=0)
     ahead = np.where(direction > 0.0, high - center, low - center)
     length = float((ahead[direction != 0.0] / direction[direction != 0.0]).min())
     if length <= 0.0:
-        return 0.0
+        return 0.0, False
+    to_end = length
     steps = np.linspace(0.0, length, SAMPLES_ALONG)
     spacing = float(steps[1])
     for index, wall in enumerate(plan.walls):
         if index != motion.wall:
             gaps = np.abs(wall.surface.distances(center + steps[:, None] * direction, spacing))
             length = min(length, steps[gaps <= spacing].min(initial=inf))
-    return float(length)
+    return float(length), length < to_end
 
 
 # Insertions with a rate too high for a face or region, and inlets turned backward.

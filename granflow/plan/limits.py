@@ -9,7 +9,6 @@ one step.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from math import sqrt
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from granflow.errors import SceneError
 from granflow.geometry.periodic_box import AXES, PeriodicBox
 from granflow.load import Scene
 from granflow.plan.pair_case import PairCase
-from granflow.plan.stages import always, nominal_times
+from granflow.plan.stages import always, nominal_times, spread_times
 from granflow.plan.time_step import STEP_SHARE
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.motions import poses_at, rotations_of
@@ -62,7 +61,6 @@ MOST_PROBES = 50
 """Largest number of displacements of a wall at which it is compared."""
 TURNS, TURN_SAMPLES = 40, 33
 """Number of poses of a wall that rotates, and of points along each side of the faces then."""
-GOLDEN_RATIO = 0.5 * (1.0 + sqrt(5.0))
 
 
 def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
@@ -129,18 +127,14 @@ def _turned_faces(
     scene: Scene, wall: PlannedWall, axis: int, reach: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Points (n, 3) [m] of the low face along a periodic axis, and the vector (3,) [m] to the opposite face,
-    in the frame of a wall that rotates, at TURNS times of the run; those at which the wall is near a face.
-
-    The times k T g, modulo T, with the golden ratio g, are no multiples of a period.
-    """
+    in the frame of a wall that rotates, at TURNS times of the run; those at which the wall is near a face."""
     motions = [each.at(nominal_times(scene.schedule)) for each in wall.motions]
     if not rotations_of(motions):
         return
     periodic_box = scene.domain.periodic_box()
     face = _face(periodic_box, axis, TURN_SAMPLES)
     along = periodic_box.width[axis] * np.eye(3)[axis]
-    times = scene.longest_duration * (np.arange(TURNS) * GOLDEN_RATIO % 1.0)
-    poses = poses_at(motions, times)
+    poses = poses_at(motions, spread_times(TURNS, scene.longest_duration))
     ends = None
     if wall.spec.is_bounded:
         points = wall.surface.enclosing_points()

@@ -7,7 +7,7 @@ which every motion is possible.
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
@@ -28,6 +28,17 @@ def nominal_times(schedule: Sequence[Stage]) -> StageTimes:
     """Start and end [s] of each stage if all stages take their longest duration."""
     edges = np.concatenate([[0.0], np.cumsum([stage.longest for stage in schedule])]).tolist()
     return {stage.name: span for stage, span in zip(schedule, pairwise(edges), strict=True)}
+
+
+GOLDEN = 0.5 * (sqrt(5.0) - 1.0)
+
+
+def spread_times(count: int, end: float) -> np.ndarray:
+    """Times (count,) [s] up to `end`, in ascending order, at which rotating walls are examined.
+
+    They are multiples of the golden ratio modulo 1, so that no period of a rotation is missed.
+    """
+    return np.sort(np.modf(GOLDEN * np.arange(1, count + 1))[0]) * end
 
 
 RESOLVED_DECAY = 0.2

@@ -184,8 +184,8 @@ def _chain_speed(
         radius += travel + float(np.linalg.norm(point - center))
         reach = radius
         if ball is None and travel == 0.0:
-            beside = distance_from_axis(attached, point, axis).max(initial=0.0)
-            reach = max(reach_about(point, axis), float(beside))
+            farthest = distance_from_axis(attached, point, axis).max(initial=0.0)
+            reach = max(reach_about(point, axis), float(farthest))
         carriers = motions[:index]
         if math.isinf(reach) or not (
             domain.on_exit == "expand" or any(each.rotates or each.force_controlled for each in carriers)

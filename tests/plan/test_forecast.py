@@ -7,6 +7,7 @@ from math import log, pi, sqrt
 import pytest
 from plan.scenes import TEXT, scene_of
 from scene_builders import build_scene, particle_group, plane
+from scipy.integrate import solve_ivp
 
 from granflow import load_scene
 from granflow.cli.run import scene_paths
@@ -429,6 +430,46 @@ def test_servos_across_gravity_or_after_another_motion_have_no_forecast(directio
     assert any("only friction can balance" in each for each in found) == (direction == [1, 0, 0])
 
 
+def free_lid(**more):
+    walls = lid()
+    walls["lid"]["motion"] = {"kind": "free", "direction": [0, 0, 1], "mass": 0.05} | more
+    return walls
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_free_wall_that_hits_the_bed_faster_than_planned_is_reported(damping):
+    """Without damping with sqrt(2 g s), below the terminal velocity M g / c = 0.98 m/s with it. The advised
+    velocity suffices; a shorter stage ends before."""
+
+    def rates(_, now):
+        return now[1], 9.81 - damping / 0.05 * now[1]
+
+    def reaches(_, now):
+        return now[0] - BED_DISTANCE
+
+    reaches.terminal = True
+    fallen = solve_ivp(rates, (0.0, 1.0), (0.0, 0.0), events=reaches, rtol=1e-10)
+    speed, time = fallen.y[1, -1], fallen.t[-1]
+    run = {"duration": 1.05 * time, "velocity_max": 0.15}
+    (warning,) = warnings_of(bed(1e9, walls=free_lid(damping=damping), run=run))
+    assert f": the free wall hits the bed with about {speed:.3g} m/s, more than run.velocity_max" in warning
+    advised = float(warning.split("set run.velocity_max to ")[1].split(" m/s")[0])
+    assert warnings_of(bed(1e9, walls=free_lid(damping=damping), run=run | {"velocity_max": advised})) == []
+    slow = run | {"duration": 0.1 * time}
+    assert warnings_of(bed(1e9, walls=free_lid(damping=damping), run=slow)) == []
+
+
+def test_free_wall_that_its_force_takes_out_of_the_domain_is_reported():
+    """10 mm to the end of the domain with (F - M g) / M = 4 g in sqrt(2 s / 4 g) = 22.6 ms; a force below all
+    weights, of 25 g of particles and 50 g, can be balanced."""
+    force = 5.0 * 0.05 * 9.81
+    (warning,) = warnings_of(bed(1e9, walls=free_lid(force=force)))
+    assert "nothing stops the free wall" in warning and "leaves the domain after 0.0226 s" in warning
+    assert warnings_of(bed(1e9, walls=free_lid(force=0.075 * 9.81 - 0.01))) == []
+    above = plane([0, 0, 0.108], [0, 0, -1])
+    assert warnings_of(bed(1e9, walls=free_lid(force=force) | {"roof": above})) == []
+
+
 def speed_of_walls(scene):
     return surface_speed(scene, plan_for(scene).walls)
 
@@ -441,7 +482,7 @@ def test_particles_attached_to_a_rotating_wall_count_in_its_speed():
         "shape": "cylinder", "from": [0, 0, -0.01], "to": [0, 0, 0.01], "radius": 0.005, "material": "glass",
         "motion": turn,
     }  # fmt: skip
-    pins = particle_group([[0.01, 0, 0], [0.0, 0.03, 0]], 0.01, fixed={"to": "shaft"})
+    pins = particle_group([[0.01, 0, 0], [0.0, 0.03, 0]], 0.01) | {"fixed": {"to": "shaft"}}
     region = {"box": {"min": [0.0, 0.0, -0.01], "max": [0.03, 0.04, 0.01]}}
     for group, low, high in (
         (pins, 20.0 * 0.035, 20.0 * (0.03 + 0.005 * 2**0.5)),
