@@ -773,9 +773,9 @@ def free_wall_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
             if fallen < duration:
                 yield (
                     ("walls", name, "motion"),
-                    ": nothing stops the free wall, which its force moves against gravity: without particles "
-                    f"on it, it leaves the domain after {fallen:.3g} s. Give it a smaller force, or the motion "
-                    "an end.",
+                    ": nothing stops the free wall, which its force moves against gravity: without "
+                    f"particles on it, it leaves the domain after {fallen:.3g} s. Give it a smaller "
+                    "force, or its motion an end.",
                 )
 
 
