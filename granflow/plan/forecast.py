@@ -845,8 +845,8 @@ def backward_findings(plan: Plan) -> Iterator[Finding]:
 
 
 def _free_path(plan: Plan, motion: ControlledMotion, way: float) -> tuple[float, bool]:
-    """Distance [m] from the center of a wall that forces move along its direction (`way` 1) or against it (-1)
-    to the next wall or the end of the domain, and whether it is a wall."""
+    """Distance [m] from the center of a wall that forces move, along its direction (`way` 1) or against it
+    (-1), to the next wall or the end of the domain, and whether it is a wall."""
     direction = way * np.array(motion.direction)
     low, high = np.array(plan.scene.domain.min), np.array(plan.scene.domain.max)
     center = plan.walls[motion.wall].surface.triangles(0.5 * (low + high), 0.0)[0].mean(axis=0)
