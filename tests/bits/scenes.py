@@ -99,7 +99,17 @@ def moved_walls() -> Scene:
     ]
     walls["high_x"]["motion"] = table
     walls["high_y"]["motion"] = {"kind": "free", "mass": 0.25, "direction": [0, -1, 0]}
-    walls["high_z"]["motion"] = {"kind": "servo", "force": 2.0, "velocity_max": 0.5, "direction": [0, 0, -1]}
+    spinning = {
+        "kind": "rotation",
+        "point": [0.021, 0.021, 0.0],
+        "axis": [0, 0, 1],
+        "angular_velocity": 5.0,
+        "ramp_duration": 5e-4,
+        "end": 2e-3,
+        "end_ramp_duration": 1e-3,
+    }
+    pressing = {"kind": "servo", "force": 2.0, "velocity_max": 0.5, "direction": [0, 0, -1]}
+    walls["high_z"]["motion"] = [pressing, spinning]
     walls["cube"]["wear"] = {
         "law": "finnie",
         "coefficient": {"glass": 0.1},
