@@ -56,7 +56,7 @@ class TimedMotion(Model):
     end: q.Time | None = optional("time at which the motion ends [s]", "end of the run", examples=["1.5 s"])
     stages: StageNames | None = Field(
         None,
-        description="stages with this motion; its time starts at the first of them",
+        description="stages with this motion; its time starts at the first of them and pauses in others",
         examples=[["settle"]],
     )
 
