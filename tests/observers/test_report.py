@@ -113,16 +113,21 @@ def test_table_shows_what_is_missing_of_an_inserted_group():
 def test_table_has_one_row_for_a_wall_at_rest_and_names_the_stage_of_means():
     wall = {f"wall_{name}_{axis}": 0.5 for name in ("force", "torque") for axis in "xyz"}
     wall |= {"wall_pressure": 3.0, "wall_force": 0.9, "wall_force_largest": 2.0}
-    forces = replace(RESULT, wall_forces={"floor": wall, "screw": wall}, stages={"run": {}})
+    powers = {"floor": 0.0, "belt": 2.0, "screw": -1.0}
+    walls = {name: wall | {"wall_power": power} for name, power in powers.items()}
+    forces = replace(RESULT, wall_forces=walls, stages={"run": {}})
 
     def rows(result):
         return [row for row in shown(result, moving=["screw"]) if "wall " in row and "clock" not in row]
 
     assert rows(forces) == [
         "wall force (x, y, z), floor 0.5, 0.5, 0.5 N, mean of the run",
+        "wall force (x, y, z), belt 0.5, 0.5, 0.5 N, mean of the run",
+        "wall power, belt 2 W, mean of the run",
         "wall force (x, y, z), screw 0.5, 0.5, 0.5 N, mean of the run",
         "wall torque (x, y, z), screw 0.5, 0.5, 0.5 N m, mean of the run",
         "wall pressure, screw 3 Pa, mean of the run",
+        "wall power, screw -1 W, mean of the run",
     ]
     staged = rows(replace(forces, stages={"fill": {}, "stir": {}}))
     assert all(row.endswith(", mean of stir") for row in staged)
