@@ -335,7 +335,7 @@ FRAME = (
     "last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)"
 )
 COLOR = "particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)"
-WALLS = "array of the walls, such as wear_depth, pressure, traction.z, with transparent particles"
+WALLS = "draw the walls alone, colored by an array such as wear_depth, pressure, traction.z"
 VIEW = "iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)"
 """Help texts of --frame, --color, --walls and --view."""
 

@@ -58,9 +58,9 @@ class PictureStyle:
     """Content and view of a picture.
 
     `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force;
-    with `walls`, an array of the walls, which it colors. `fit`: shown region, "all", "particles" or "domain".
-    `cut`: hide the front half. `limits`: limits of the color scale [SI]. `size`: (width, height) in pixels,
-    including the legend strip.
+    with `walls`, the walls alone, colored by one of their arrays. `fit`: shown region, "all", "particles" or
+    "domain". `cut`: hide the front half. `limits`: limits of the color scale [SI]. `size`: (width, height) in
+    pixels, including the legend strip.
     """
 
     color: str = "velocity"
@@ -316,9 +316,7 @@ def _picture(renderer: "Renderer", setup: PictureSetup, frame: Frame) -> np.ndar
     renderer.set_walls(walls, setup.domain, boxes, setup.cut, colored)
     if setup.style.chains:
         _draw_chains(renderer, setup, read_force_chains(frame), particles)
-    elif setup.style.walls is not None:
-        renderer.set_particles(particles, np.zeros((len(particles.radius), 3), np.uint8), faint=True)
-    else:
+    elif setup.style.walls is None:  # particles, even if transparent, would change the colors of walls
         values = values_of(particles.arrays, setup.style.color) if len(particles.radius) else np.zeros(0)
         renderer.set_particles(particles, colors_of(values, setup.scale))
     time = f"{frame.time:.{setup.decimals}f} s"

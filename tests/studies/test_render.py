@@ -262,7 +262,7 @@ def test_pictures_and_film(run):
     worn = np.asarray(Image.open(run / "worn.png")).reshape(-1, 3).astype(int)
     for share in (0.25, 1.0):
         color = 255.0 * np.array(colormaps[UNSIGNED](share)[:3])
-        assert np.mean(np.abs(worn - color).max(axis=1) < 4.0) > 0.02, share
+        assert np.mean(np.abs(worn - color).max(axis=1) < 20.0) > 0.04, share  # 0.7 to 1 of the light
     film = run / "pictures" / "film_velocity_iso.mp4"
     assert imageio_ffmpeg.count_frames_and_secs(str(film)) == (4, pytest.approx(1.0, abs=0.05))
 
