@@ -109,6 +109,10 @@ def install(extras: "tuple[str, ...]") -> None:
     target = str(ROOT) + (f"[{','.join(extras)}]" if extras else "")
     pip = [str(environment_python()), "-m", "pip", "install", "--disable-pip-version-check"]
     pinned = ["-c", str(ROOT / "constraints.txt")] if sys.version_info[:2] <= NEWEST_PINNED else []
+    if (
+        extras
+    ):  # most of their 12 000 modules are never imported; Python compiles the others at their first use
+        pip.append("--no-compile")
     attempt(
         [*pip, *pinned, "-e", target],
         "Installing granflow failed (is this machine online?)",
