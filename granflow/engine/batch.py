@@ -108,17 +108,18 @@ class BatchedContacts:
         Candidate pairs without contact are overwritten by the next one; open contacts end.
         """
         position = self.particles.position[i]
-        radius = self.particles.radius[i]
+        radius = self.pair.radius(i)
         overlap_ratio = self.control.overlap_limit[0]
         entry = entry_begin
         for list_index in range(self.neighbors.list_walls_end[i], self.neighbors.list_end[i]):
             j = self.neighbors.partner[list_index]
             branch = self.pair.branch(position, j, pose)
-            radius_partner = self.particles.radius[j]
+            radius_partner = self.pair.radius(j)
             self.batch.list_index[worker, entry] = list_index
             self.batch.owner[worker, entry] = i
             self.batch.partner[worker, entry] = j
-            self.batch.radius_partner[worker, entry] = radius_partner
+            if ti.static(not self.features.one_size):
+                self.batch.radius_partner[worker, entry] = radius_partner
             store_vector(self.batch.branch, worker, entry, branch)
             distance_squared = branch.dot(branch)
             contact_distance = radius + radius_partner
@@ -203,13 +204,14 @@ class BatchedContacts:
             i = self.batch.owner[worker, entry]
             j = self.batch.partner[worker, entry]
             list_index = self.batch.list_index[worker, entry]
-            self.batch.radius[worker, entry] = self.particles.radius[i]
             velocity_rel_half, velocity_rel = self.pair.relative_velocities(i, j, pose)
             store_vector(self.batch.velocity_rel_half, worker, entry, velocity_rel_half)
             if ti.static(self.features.synchronized):
                 store_vector(self.batch.velocity_rel, worker, entry, velocity_rel)
-            self.batch.mass[worker, entry] = self.pair.contact_mass(i)
-            self.batch.mass_partner[worker, entry] = self.pair.contact_mass(j)
+            if ti.static(not self.features.one_size):
+                self.batch.radius[worker, entry] = self.particles.radius[i]
+                self.batch.mass[worker, entry] = self.pair.contact_mass(i)
+                self.batch.mass_partner[worker, entry] = self.pair.contact_mass(j)
             if ti.static(self.features.rotation):
                 angular_velocities = self.pair.angular_velocities(i, j, pose)
                 store_vector(self.batch.angular_velocity, worker, entry, angular_velocities.first)
@@ -254,7 +256,7 @@ class BatchedContacts:
             radius_eff=bodies.radius_eff,
             mass_eff=bodies.mass_eff,
             time_step=normal_time_step(dt, self.longest_time_step()),
-            overlap=self.particles.radius[i] + self.particles.radius[j] - distance,
+            overlap=self.pair.radius(i) + self.pair.radius(j) - distance,
             overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
         )
 
@@ -262,7 +264,7 @@ class BatchedContacts:
     def _with_bridge(self, worker, chunk, entry, i, j, components):
         """Components of the cohesion history, with a bridge."""
         branch = self._branch(worker, entry)
-        overlap = self.particles.radius[i] + self.particles.radius[j] - ti.sqrt(branch.dot(branch))
+        overlap = self.pair.radius(i) + self.pair.radius(j) - ti.sqrt(branch.dot(branch))
         history = self.structs.history("cohesion", components)
         formed = self.films.form_bridge(
             chunk, i, j, self.pair.constants(i, j), self.pair.bodies(i, j), overlap, history
@@ -354,6 +356,8 @@ def _build_evaluate(state: State) -> Any:
     longest_time_step = state.parameter("longest_time_step")
     shift_parameter = state.parameter("shift")
     per_unit_parameter = state.parameter("per_unit")
+    one_size = state.plan.features.one_size
+    equal_spheres = state.parameter("equal_spheres") if one_size else None
 
     func = ti.real_func if KERNELS == "taichi" else ti.func
 
@@ -364,8 +368,13 @@ def _build_evaluate(state: State) -> Any:
         longest = longest_time_step()
         shift = shift_parameter()
         per_unit = per_unit_parameter()
+        spheres = ti.Vector.zero(real, 2)
+        if ti.static(one_size):
+            spheres = equal_spheres()
         for entry in range(entry_count):
-            columns.evaluate(worker, entry, row_of_only_pair, parameters, dt, longest, shift, per_unit)
+            columns.evaluate(
+                worker, entry, row_of_only_pair, parameters, spheres, dt, longest, shift, per_unit
+            )
 
     return evaluate
 
@@ -399,15 +408,20 @@ class Columns:
         self.forces, self.torques, self.torques_partner = _result_columns(state.batch)
 
     @ti.func
-    def evaluate(self, worker, entry, row_of_only_pair, parameters, dt, longest_time_step, shift, per_unit):
-        """Force, torques, history and losses of an entry."""
+    def evaluate(
+        self, worker, entry, row_of_only_pair, parameters, spheres, dt, longest_time_step, shift, per_unit
+    ):
+        """Force, torques, history and losses of an entry.
+
+        row_of_only_pair, spheres:  constants of one material, radius [m] and mass [kg] of equal spheres
+        """
         row = row_of_only_pair
         if ti.static(not self.features.one_material):
             row = self._load(self.batch.constants, worker, entry, self.constant_count)
         found = self.pair_force.evaluate(
             self.structs.constants(row, parameters),
-            self._bodies(worker, entry),
-            self._kinematics(worker, entry, dt),
+            self._bodies(worker, entry, spheres),
+            self._kinematics(worker, entry, spheres, dt),
             self._angular_velocities(worker, entry),
             self.structs.histories(self._slot, worker, entry),
             dt,
@@ -426,19 +440,26 @@ class Columns:
                 self.batch.viscous_power[0][worker, entry] = found.viscous_power
 
     @ti.func
-    def _bodies(self, worker, entry):
-        return sphere_bodies(
-            self.batch.radius[worker, entry],
-            self.batch.mass[worker, entry],
-            self.batch.radius_partner[worker, entry],
-            self.batch.mass_partner[worker, entry],
-        )
+    def _bodies(self, worker, entry, spheres):
+        if ti.static(self.features.one_size):
+            return sphere_bodies(spheres[0], spheres[1], spheres[0], spheres[1])
+        else:
+            return sphere_bodies(
+                self.batch.radius[worker, entry],
+                self.batch.mass[worker, entry],
+                self.batch.radius_partner[worker, entry],
+                self.batch.mass_partner[worker, entry],
+            )
 
     @ti.func
-    def _kinematics(self, worker, entry, dt):
+    def _kinematics(self, worker, entry, spheres, dt):
+        radius, radius_partner = spheres[0], spheres[0]
+        if ti.static(not self.features.one_size):
+            radius = self.batch.radius[worker, entry]
+            radius_partner = self.batch.radius_partner[worker, entry]
         return sphere_kinematics(
-            self.batch.radius[worker, entry],
-            self.batch.radius_partner[worker, entry],
+            radius,
+            radius_partner,
             self._load(self.batch.branch, worker, entry, 3),
             self._load(self.batch.velocity_rel_half, worker, entry, 3),
             self._load(self.batch.velocity_rel, worker, entry, 3),

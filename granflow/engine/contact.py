@@ -146,9 +146,9 @@ class Contact:
     @ti.func
     def _check_overlap(self, i, j, overlap):
         """Request an abort if the overlap exceeds the limit."""
-        radius_min = self.particles.radius[i]
+        radius_min = self.pair.radius(i)
         if ti.static(not self.with_wall):
-            radius_min = ti.min(radius_min, self.particles.radius[j])
+            radius_min = ti.min(radius_min, self.pair.radius(j))
         if overlap > self.control.overlap_limit[0] * radius_min:
             ti.atomic_max(self.control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(self.control.abort_particle[0], self.particles.id[i])

@@ -65,6 +65,7 @@ class Pair:
         self.mass = state.particles.clump_mass if plan.features.clumps else state.particles.mass
         self.structs = ModelStructs(plan.laws)
         self.material_count = state.parameter("material_count")
+        self.equal_spheres = state.parameter("equal_spheres") if self.features.one_size else None
 
     @ti.func
     def _particle_kinematics(self, i, j, pose, dt):
@@ -73,10 +74,10 @@ class Pair:
         Without contact, the overlap is not above 0, and only models that act at a distance get its value, see
         `separated`.
         """
-        radius = self.particles.radius[i]
+        radius = self.radius(i)
         found = no_contact(-radius, self.particles.velocity[i])
         branch = self.branch(self.particles.position[i], j, pose)
-        if self.overlaps(branch.dot(branch), radius + self.particles.radius[j]):
+        if self.overlaps(branch.dot(branch), radius + self.radius(j)):
             found = self.spheres(i, j, branch, pose, dt)
         elif ti.static(self.acts_at_distance):
             found = self.separated(i, j, branch, pose)
@@ -86,8 +87,8 @@ class Pair:
     def separated(self, i, j, branch, pose):
         """Kinematics of two particles without overlap, for models that act at a distance: minus the distance
         of the surfaces, the normal, and for viscous forces the velocity now and the lever arms."""
-        radius = self.particles.radius[i]
-        radius_partner = self.particles.radius[j]
+        radius = self.radius(i)
+        radius_partner = self.radius(j)
         found = no_contact(-radius, self.particles.velocity[i])
         distance = ti.sqrt(branch.dot(branch))
         found.overlap = ti.min(radius + radius_partner - distance, 0.0)
@@ -103,8 +104,8 @@ class Pair:
         """`sphere_kinematics` of two particles with this branch vector [m]."""
         velocity_rel_half, velocity_rel = self.relative_velocities(i, j, pose)
         return sphere_kinematics(
-            self.particles.radius[i],
-            self.particles.radius[j],
+            self.radius(i),
+            self.radius(j),
             branch,
             velocity_rel_half,
             velocity_rel,
@@ -146,7 +147,7 @@ class Pair:
         Velocities are those of the half step; normal_half and the velocity of the wall at the contact point
         are as well.
         """
-        radius = self.particles.radius[i]
+        radius = self.radius(i)
         face = -1 - j
         gap, direction = self.joined_walls.contact(i, j, pose)
         found = no_contact(ti.cast(radius - gap, self.real), self.particles.velocity[i])
@@ -213,12 +214,21 @@ class Pair:
 
         a b / (a + b) for two particles, the value of the particle for a wall.
         """
-        radius = self.particles.radius[i]
+        radius = self.radius(i)
         mass = self.contact_mass(i)
         found = ti.Struct(radius_eff=radius, mass_eff=mass, inertia_eff=sphere_inertia(mass, radius))
         if ti.static(not self.with_wall):
-            found = sphere_bodies(radius, mass, self.particles.radius[j], self.contact_mass(j))
+            found = sphere_bodies(radius, mass, self.radius(j), self.contact_mass(j))
         return found
+
+    @ti.func
+    def radius(self, i):
+        """Radius [m] of a particle: the number of the plan if all are equal, which saves a gather for each
+        candidate pair."""
+        if ti.static(self.features.one_size):
+            return self.equal_spheres()[0]
+        else:
+            return self.particles.radius[i]
 
     @ti.func
     def contact_mass(self, i):
@@ -226,11 +236,14 @@ class Pair:
 
         A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
         """
-        mass = self.mass[i]
-        if ti.static(self.features.fixed_particles):
-            factor = ti.cast(FIXED_MASS_FACTOR, self.real)
-            mass *= ti.select(self.particles.fixed[i] == 1, factor, ti.cast(1.0, self.real))
-        return mass
+        if ti.static(self.features.one_size):
+            return self.equal_spheres()[1]
+        else:
+            mass = self.mass[i]
+            if ti.static(self.features.fixed_particles):
+                factor = ti.cast(FIXED_MASS_FACTOR, self.real)
+                mass *= ti.select(self.particles.fixed[i] == 1, factor, ti.cast(1.0, self.real))
+            return mass
 
     @ti.func
     def constants(self, i, j):

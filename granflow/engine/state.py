@@ -575,7 +575,8 @@ class PairBatch:
             return [block.column(worker_parts, dtype, self.capacity) for _ in range(number)]
 
         self.list_index, self.owner, self.partner = columns(3, ti.i32)
-        self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
+        spheres = columns(0 if features.one_size else 4)
+        self.radius, self.radius_partner, self.mass, self.mass_partner = spheres or [None] * 4
         self.branch = columns(3)
         self.velocity_rel_half = columns(3)
         self.velocity_rel = columns(3 * features.synchronized)

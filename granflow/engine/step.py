@@ -115,6 +115,7 @@ class TimeStep:
         self.flows = state.built(Flows) if self.has_flows else None
         self.longest_time_step = state.parameter("longest_time_step")
         self.clumps = state.built(ClumpMotion)
+        self.equal_spheres = state.parameter("equal_spheres") if features.one_size else None
         self.velocity_sum = VelocitySum(state, "velocity")
         self.rotation_sum = VelocitySum(state, "angular_velocity")
         self.counts_damping = features.damping != "none" and features.energy_budget
@@ -157,6 +158,9 @@ class TimeStep:
         shift = self.shift()[UNIT_FORCE]
         per_unit = self.per_unit()
         limit_squared = self.travel_limit_squared()
+        spheres = ti.Vector.zero(self.real, 2)
+        if ti.static(self.features.one_size):
+            spheres = self.equal_spheres()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             if ti.static(self.features.liquid_transfer):
                 self.films.save(i)
@@ -172,21 +176,26 @@ class TimeStep:
                             chunk, i, self.particles.external_force[i], velocity, dt
                         )
                 else:
-                    displacement = self._kick_and_drift(chunk, i, gravity, shift, pose, dt)
+                    displacement = self._kick_and_drift(chunk, i, spheres, gravity, shift, pose, dt)
                 self._check_limits(i, displacement, limit_squared, per_unit)
             else:
-                displacement = self._kick_and_drift(chunk, i, gravity, shift, pose, dt)
+                displacement = self._kick_and_drift(chunk, i, spheres, gravity, shift, pose, dt)
                 self._check_limits(i, displacement, limit_squared, per_unit)
             if ti.static(self.periodic):
                 self.particle_wrap.wrap(chunk, i, pose, dt)
 
     @ti.func
-    def _kick_and_drift(self, chunk, i, gravity, shift, pose, dt):
+    def _kick_and_drift(self, chunk, i, spheres, gravity, shift, pose, dt):
         """Kick and drift a sphere that is in no clump or a fixed one, or move it with its wall; returns its
-        displacement [m]."""
+        displacement [m].
+
+        spheres:  radius [m] and mass [kg] of all particles with the feature `one_size`
+        """
         if ti.static(self.has_flows):
             self.flows.integrate(i, dt)
-        mass = self.particles.mass[i]
+        radius, mass = spheres[0], spheres[1]
+        if ti.static(not self.features.one_size):
+            radius, mass = self.particles.radius[i], self.particles.mass[i]
         force = self.particles.force[i] + self._weight_rest(mass * gravity, shift)
         kick = self.particles.mobility(i) * dt / mass * force
         change = kick
@@ -204,7 +213,7 @@ class TimeStep:
         before = self.particles.position[i]
         self.particles.position[i] = before + displacement
         if ti.static(self.features.rotation):  # a sphere needs no orientation and no gyroscopic term
-            inertia = sphere_inertia(mass, self.particles.radius[i])
+            inertia = sphere_inertia(mass, radius)
             kick_of_rotation = self.particles.mobility(i) * dt / inertia * self.particles.torque[i]
             angular_velocity = self.rotation_sum.changed(i, kick_of_rotation)
             self.particles.angular_velocity[i] = angular_velocity

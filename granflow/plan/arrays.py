@@ -303,6 +303,8 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield _scalar("cell_capacity", "i32", plan.cell_capacity)
     yield _scalar("travel_limit_squared", "real", plan.travel_limit**2)
     yield _scalar("longest_time_step", "real", plan.longest_time_step)
+    if plan.features.one_size:
+        yield _vector("equal_spheres", "real", plan.equal_spheres)
     yield _scalar("wall_displacement_limit", "real", plan.wall_displacement_limit)
     yield _scalar("wall_travel_limit", "real", plan.wall_travel_limit)
     yield _scalar("reach_max", "position", plan.reach_max)

@@ -32,7 +32,11 @@ from granflow.schema.quantities import unit_of
 
 WIDTH = 100
 """Width of the text in columns."""
-LABELS = {"one_material": "one particle material", "rate_dependent": "viscous normal force"}
+LABELS = {
+    "one_material": "one particle material",
+    "one_size": "one particle size",
+    "rate_dependent": "viscous normal force",
+}
 """Labels of features whose names do not describe them; the others are their names."""
 
 

@@ -35,6 +35,8 @@ class Features:
     mesh_walls: bool
     joined_walls: bool
     one_material: bool
+    one_size: bool
+    """Whether all particles are equal spheres of one material, so that radius and mass are two numbers."""
     energy_budget: bool
     wall_forces: bool
     collision_energies: bool
@@ -212,6 +214,7 @@ def _rows(
         if len(materials) == 1
         else f"the particles are of the materials {', '.join(materials)}",
     )
+    yield "one_size", *_one_size(scene, len(materials) == 1)
 
     # Output.
     output = scene.output
@@ -346,6 +349,24 @@ def _gravity_reason(scene: Scene) -> str:
         return f"table of gravity ({scene.where('gravity', 'vectors')})"
     index = next(number for number, each in enumerate(scene.stages) if each.gravity is not None)
     return f"gravity of stage {scene.stages[index].name} ({scene.where('stages', index, 'gravity')})"
+
+
+def _one_size(scene: Scene, one_material: bool) -> tuple[bool, str]:
+    """Whether all particles have one radius and one mass in contacts, and the reason.
+
+    Clumps have the mass of the clump, fixed particles an infinite one.
+    """
+    groups = scene.particles
+    smallest = min(group.diameters[0] for group in groups.values())
+    largest = max(group.diameters[1] for group in groups.values())
+    other = [name for name, group in groups.items() if group.fixed or group.shape.body is not None]
+    if smallest < largest:
+        return False, f"the diameters are {smallest:.4g} to {largest:.4g} m"
+    if not one_material:
+        return False, "the particles are of several materials"
+    if other:
+        return False, f"particles.{other[0]} is fixed, or has clumps ({scene.where('particles', other[0])})"
+    return True, f"all particles have the diameter {largest:.4g} m and one material"
 
 
 def _model_row(scene: Scene, models: Mapping[str, ContactModel], slot: str) -> tuple[str, bool | str, str]:

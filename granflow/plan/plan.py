@@ -236,6 +236,12 @@ class Plan:
         return self.pair_materials[first, second]
 
     @property
+    def equal_spheres(self) -> tuple[float, float]:
+        """Radius [m] and mass [kg] of all particles with the feature `one_size`, as of their arrays."""
+        mass = sphere_mass(np.array([self.radius_max]), np.array([self.groups[0].density]))
+        return self.radius_max, float(mass[0])
+
+    @property
     def largest_weight(self) -> float:
         """Weight [N] of the heaviest sphere."""
         gravity = self.scene.largest_gravity

@@ -21,7 +21,7 @@ def test_only_required_features_are_enabled(tmp_path):
     features = plan_for(scene_of(tmp_path, text=text)).features
     assert [
         item.name for item in fields(Features) if getattr(features, item.name) not in (False, "none", ())
-    ] == ["one_material"]
+    ] == ["one_material", "one_size"]
 
 
 @pytest.mark.parametrize(("change", "feature", "setting", "why", "line"), [
@@ -29,6 +29,7 @@ def test_only_required_features_are_enabled(tmp_path):
     ((), "walls", "on", "floor", "walls:"),
     ((), "moving_walls", "off", "no wall has a motion", None),
     ((), "one_material", "on", "all particles are of the material glass", None),
+    ((), "one_size", "on", "all particles have the diameter 0.004 m and one material", None),
     ((), "rate_dependent", "off",
      "contact.normal.damping_ratio is 0, and rest_damping acts only on contacts that reload (", "normal"),
     (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4",

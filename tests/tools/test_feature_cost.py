@@ -49,6 +49,7 @@ def plans(directory, *overrides):
     ("without walls", {"friction": True}, {"walls": False}),
     ("without energy budget", {"friction": True}, {"energy_budget": False}),
     ("with several materials", {"friction": True}, {"one_material": False}),
+    ("with several sizes", {"one_material": True}, {"one_size": False}),
     ("with moving walls", {"walls": True}, {"moving_walls": True}),
     ("without any history", {"rotation": True}, {"friction": False, "rolling": "none"}),
     ("without all of these", {"one_material": True},

@@ -115,7 +115,10 @@ def _other_walls(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
 
 
 def _other_materials(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
-    """Variant with several materials, or with one material if the scene has several."""
+    """Variants with several sizes, and with several materials, or with one material if the scene has
+    several."""
+    if plan.features.one_size:
+        yield FeatureVariant("with several sizes", scene, {"one_size": False})
     if plan.features.one_material:
         yield FeatureVariant("with several materials", scene, {"one_material": False})
         return
