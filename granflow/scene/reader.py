@@ -6,7 +6,7 @@ Other YAML files, such as sweeps, get the same messages by `validated_file`.
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -106,6 +106,7 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
                 f"{document.root.position}: this is a {kind}, not a scene; "
                 f"granflow {verb} reads it, and its --dry-run checks it."
             )
+    before = document.root
     for override in overrides:
         problems += _apply_override(document, override)
     scene, found = _validated(document)
@@ -120,6 +121,7 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
         raise SceneError(shown)
     scene._document = document
     scene._folder = folder or Path()
+    scene._remarks = tuple(_unchanged_aliases(before, document.root, overrides))
     return scene
 
 
@@ -327,6 +329,48 @@ def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePos
         raise _Refused(f"{parent} is a list of {numbers}, so the index {index} is invalid.{remedy}")
     items[int(index)] = _with(items[int(index)], keys, value, position, depth + 1)
     return replace(node, items=items)
+
+
+def _unchanged_aliases(before: Node, after: Node, overrides: Sequence[str]) -> Iterator[str]:
+    """A sentence for each override of a part that other keys share through an alias, and that these keep.
+
+    before, after:  the tree as in the file, and with all overrides
+
+    An override changes the key that it names alone, as in a resolved scene, which has no aliases.
+    """
+    for override in overrides:
+        path, _, value = override.partition("=")
+        keys = [key.strip() for key in path.split(".")]
+        for depth in range(1, len(keys) + 1):
+            node = _at(before, keys[:depth])
+            others = [each for each in _paths_to(node, before) if _at(after, each) is node]
+            if node is not None and others:
+                same = [dotted([*each, *keys[depth:]]) for each in others]
+                keep = "keeps its value" if len(same) == 1 else "keep their values"
+                yield (
+                    f"--set {dotted(keys)} changes this key alone: {', '.join(same)} of the same YAML anchor "
+                    f"{keep}. To change it too, add --set {same[0]}={value.strip()}."
+                )
+                break
+
+
+def _at(node: Node | None, path: Iterable[str | int]) -> Node | None:
+    """The node at a path below a node, or None; indices of lists as numbers or digits."""
+    for key in path:
+        is_index = node is not None and node.items is not None and str(key).isdecimal()
+        node = node.child(int(key) if is_index else key) if node is not None else None
+    return node
+
+
+def _paths_to(
+    wanted: Node | None, node: Node, path: tuple[str | int, ...] = ()
+) -> Iterator[tuple[str | int, ...]]:
+    """All paths to a node that occurs several times below another."""
+    if node is wanted:
+        yield path
+    parts = node.entries.items() if node.entries else enumerate(node.items or ())
+    for key, part in parts:
+        yield from _paths_to(wanted, part if isinstance(part, Node) else part.node, (*path, key))
 
 
 def _key(entries: dict[str, MappingEntry], key: str) -> str:

@@ -125,6 +125,10 @@ def test_override_changes_only_one_of_two_walls_with_a_common_anchor(tmp_path):
     path.write_text(text.replace("  tube:\n", "  floor: *base\n  tube:\n", 1), encoding="utf-8")
     scene = load_scene(path, ["walls.floor.point=[0, 0, 1]"])
     assert (scene.walls["base"].point[2], scene.walls["floor"].point[2]) == (0.0, 1.0)
+    (remark,) = scene.remarks
+    assert remark.startswith("--set walls.floor.point changes this key alone: walls.base.point ")
+    both = load_scene(path, ["walls.floor.point=[0, 0, 1]", "walls.base.point=[0, 0, 1]"])
+    assert both.walls["base"].point[2] == 1.0 and not both.remarks
 
 
 def test_json_schema_contains_required_keys_and_alternatives():

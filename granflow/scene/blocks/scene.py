@@ -140,7 +140,8 @@ class SceneInput(Model):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks of the reader, one sentence each: a scale other than 1, overlaps in particle files."""
+        """Remarks of the reader, one sentence each: a scale other than 1, overlaps in particle files,
+        overrides of one of several keys of the same YAML anchor."""
         return self._remarks
 
     @property
