@@ -107,7 +107,10 @@ DIMENSIONS: dict[str, Dimension] = {
     "volume": Dimension(
         "a volume",
         "10 nl",
-        _unit_table("m3 1, m^3 1, m³ 1, cm3 1e-6, mm3 1e-9, l 1e-3, ml 1e-6, ul 1e-9, nl 1e-12, pl 1e-15"),
+        _unit_table(
+            "m3 1, m^3 1, m³ 1, cm3 1e-6, mm3 1e-9, l 1e-3, ml 1e-6, ul 1e-9, nl 1e-12, pl 1e-15, "
+            "L 1e-3, mL 1e-6, uL 1e-9, µL 1e-9, nL 1e-12, pL 1e-15"
+        ),
     ),
     "stiffness": Dimension("a stiffness", "1e4 N/m", _unit_table("N/m 1, kN/m 1e3, N/mm 1e3, N/cm 100")),
     "torsion_stiffness": Dimension(

@@ -224,7 +224,11 @@ class SweepInput(Model):
         {}, alias="set", description="values of other keys of the scene in all runs"
     )
     vary: dict[Text, Variation] = Field(
-        description="values of each parameter; its name is a key path of the scene"
+        {},
+        description=(
+            "values of each parameter; its name is a key path of the scene; without parameters, repeat gives "
+            "the scatter of one scene"
+        ),
     )
     derive: dict[Text, Text] = Field(
         {},
@@ -246,11 +250,13 @@ class SweepInput(Model):
 
     def faults(self) -> Iterator[Fault]:
         """Yield faults between the parts: counts that are missing or have no effect, keys given twice."""
-        if not self.vary:
-            yield missing(
-                ("vary",), "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5]"
-            )
         gridded = isinstance(self.sampling, Grid)
+        if not self.vary and not (gridded and self.repeat.seeds > 1):
+            yield missing(
+                ("vary",),
+                "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5], or instead of it "
+                "repeat: {seeds: 3}",
+            )
         for name, variation in self.vary.items():
             if isinstance(variation, tuple) and (reason := mixed_units(variation)):
                 yield Fault(("vary", name), reason)

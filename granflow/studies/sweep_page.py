@@ -59,7 +59,7 @@ def write_sweep_page(
     found = shown(sweep, table)
     drawn = replace(found, in_plots=True)
     points = frame_of(drawn) if script else None
-    has_plots = points is not None and len(points) > 0
+    has_plots = points is not None and len(points) > 0 and len(drawn.parameters) > 0
     indices, why_none = sobol_indices(sweep, table)
     text = page_text(
         "sweep.html",
@@ -93,9 +93,10 @@ MOST_PANELS = 6
 
 
 def figure_of(table: ShownTable) -> Drawing | None:
-    """Each quantity over each parameter, with the standard errors of the means; None without any number."""
+    """Each quantity over each parameter, with the standard errors of the means; None without any number, or without
+    parameters."""
     rows = [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
-    if not rows:
+    if not rows or not table.parameters:
         return None
     quantities = table.quantities[:MOST_PANELS]
     parameters = table.parameters[:MOST_PANELS]

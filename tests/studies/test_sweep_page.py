@@ -68,6 +68,7 @@ SOBOL = ["scatter", "parcoords", "splom", "bar", "scatter", "scatter"]
 @pytest.mark.parametrize(("parts", "kinds", "words"), [
     ({"aborts": (4,)}, GRID, ("overlap above the limit", ">Two parameters</h2>", ">warnings</th>")),
     ({"sampling": {"kind": "sobol", "count": 16}}, SOBOL, (">Sobol indices</h2>", ">run79<")),
+    ({"vary": {}, "repeat": {"seeds": 2}, "function": lambda: 1.0}, ["scatter", "scatter"], (">All points</h2>",)),
     ({"vary": TEXTS, "function": lambda name, y: y},
      ["scatter", "histogram2d", "parcoords", "splom", "scatter", "scatter"], ("y [deg]", "&lt;b&gt;x")),
 ])  # fmt: skip
