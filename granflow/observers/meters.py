@@ -50,6 +50,10 @@ class StageRows:
         rows = self._stages.get(stage, {})
         return {name: total / count for name, (count, total, _) in rows.items()}
 
+    def counts(self, stage: str) -> dict[str, int]:
+        """Return the number of rows of a stage in which each number has a value."""
+        return {name: count for name, (count, _, _) in self._stages.get(stage, {}).items()}
+
     def by_stage(self) -> dict[str, dict[str, float]]:
         """Return NAME_mean and NAME_largest by stage, in the order of the stages."""
         return {

@@ -4,7 +4,7 @@ It evaluates the metric for each row of the time series and computes its mean ov
 of metrics and their formulas are in `scene.blocks.metrics`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -31,13 +31,17 @@ class MetricMeter:
         self._stage = ""
         self._last: dict[str, float] = {}
         self._rows = StageRows()
+        self._row_count = 0
 
     def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
         """Evaluate the metric with a snapshot, which must have the parts `wants`.
 
         `replaces_last`: the last values, of the same stage, do not enter the mean any more.
         """
-        self._stage = snapshot.stage
+        if snapshot.stage != self._stage:
+            self._stage = snapshot.stage
+            self._row_count = 0
+        self._row_count += not replaces_last
         reading = self._measure(snapshot)
         self._last = {name: float(value) for name, value in reading.numbers.items()}
         self.remark = reading.remark
@@ -54,13 +58,28 @@ class MetricMeter:
         means = self._rows.means(self._stage)
         return self._last | {f"{name}_mean": means.get(name, float("nan")) for name in self._last}
 
+    def remarks(self) -> Iterator[str]:
+        """Yield the remark of the last evaluation, and one for each mean over less than half of the rows of
+        the last stage."""
+        if self.remark:
+            yield self.remark
+        counts = self._rows.counts(self._stage)
+        for name in self._last:
+            count = counts.get(name, 0)
+            if 0 < count < 0.5 * self._row_count:
+                yield (
+                    f"{name}_mean is the mean of {count} of the {self._row_count} rows of the stage "
+                    f"{self._stage}; {name} is NaN in the others"
+                )
+
     def state_dict(self) -> dict[str, Any]:
-        """Return the stage, the last values and their remark, and the means over the rows."""
+        """Return the stage, the last values and their remark, the means over the rows and their number."""
         return {
             "stage": self._stage,
             "last": self._last,
             "remark": self.remark,
             "rows": self._rows.state_dict(),
+            "row_count": self._row_count,
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -69,6 +88,7 @@ class MetricMeter:
         self._last = saved["last"]
         self.remark = saved["remark"]
         self._rows.load_state_dict(saved["rows"])
+        self._row_count = saved["row_count"]
 
 
 def metric_meters(plan: Plan) -> dict[str, MetricMeter]:

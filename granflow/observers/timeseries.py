@@ -183,13 +183,13 @@ class TimeSeries(ScheduledObserver):
         return results
 
     def remarks(self) -> list[str]:
-        """Return sentences on the last values of the metrics, such as the reason why one is NaN."""
-        found = {
-            name: meter.remark
+        """Return sentences on the metrics, such as the reason why the last value of one is NaN."""
+        return [
+            f"output.metrics.{name}: {sentence}."
             for name, meter in self.meters["metrics"].items()
             if isinstance(meter, MetricMeter)
-        }
-        return [f"output.metrics.{name}: {sentence}." for name, sentence in found.items() if sentence]
+            for sentence in meter.remarks()
+        ]
 
     def _named(self, kind: str) -> Iterator[tuple[str, FlowCount | WallForceMeter | MetricMeter]]:
         """Yield the meters of a kind by name; for flow meters the counts, of which parts have names of their

@@ -254,8 +254,8 @@ class SweepInput(Model):
         if not self.vary and not (gridded and self.repeat.seeds > 1):
             yield missing(
                 ("vary",),
-                "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5], or instead of it "
-                "repeat: {seeds: 3}",
+                "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5], or instead of "
+                "it repeat: {seeds: 3}",
             )
         for name, variation in self.vary.items():
             if isinstance(variation, tuple) and (reason := mixed_units(variation)):

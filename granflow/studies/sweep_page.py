@@ -93,8 +93,8 @@ MOST_PANELS = 6
 
 
 def figure_of(table: ShownTable) -> Drawing | None:
-    """Each quantity over each parameter, with the standard errors of the means; None without any number, or without
-    parameters."""
+    """Each quantity over each parameter, with the standard errors of the means; None without any number, or
+    without parameters."""
     rows = [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
     if not rows or not table.parameters:
         return None

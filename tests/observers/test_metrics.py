@@ -435,7 +435,7 @@ def test_height_of_a_level_bed_and_of_its_volume():
     contacts[-1] = 0
     scene = scene_with(level={"kind": "height", "base": -0.5, "share": 0.9})
     particles = particles_of(
-        41, position=center[:, [0, 2, 1]], radius=np.full(41, radius), fixed=np.zeros(41), mass=np.ones(41),
+        41, clump=np.full(41, -1), wall_contact_count=np.zeros(41), position=center[:, [0, 2, 1]], radius=np.full(41, radius), fixed=np.zeros(41), mass=np.ones(41),
         material=np.zeros(41, int), coordination_number=contacts
     )  # fmt: skip
     meter = metric_meters(plan_for(scene))["level"]
@@ -448,10 +448,14 @@ def test_height_of_a_level_bed_and_of_its_volume():
     meter.update(snapshot_of(particles=particles))
     h = (meter.readings()["height_of_volume"] - 0.5) / radius - 8.0
     assert h**2 * (3.0 - h) / 4.0 == pytest.approx(0.325)
-    particles["coordination_number"][:] = 0
+    particles["coordination_number"][:20] = 0
     meter.update(snapshot_of(particles=particles))
-    assert np.isnan(meter.readings()["bed_height"])
-    assert "no particle in the region has two contacts" in meter.remark
+    assert np.isnan(meter.readings()["bed_height"]) and np.isnan(meter.readings()["heap_height"])
+    assert meter.readings()["height_of_volume"] == pytest.approx(0.5 + (8.0 + h) * radius)
+    assert "20 of 41 particles in the region have two contacts" in meter.remark
+    particles["coordination_number"][19] = 2
+    meter.update(snapshot_of(particles=particles))
+    assert meter.readings()["bed_height"] == pytest.approx(0.5 + 10 * radius)
 
 
 def test_coordination_counts_the_contacts_of_a_clump_as_those_of_one_particle():
@@ -594,3 +598,24 @@ def test_segregation_in_cells_with_few_particles_gives_the_reason():
     occupied = len(np.unique((2.0 * points).astype(int), axis=0))
     assert readings["segregation_intensity_random"] == pytest.approx(occupied * 16.0 / 9.0 / 36.0)
     assert "the cells contain few of them" in remark and "increase cell" in remark
+
+
+def test_a_mean_over_few_rows_of_a_stage_says_so():
+    scene = scene_with(level={"kind": "height"})
+    meter = metric_meters(plan_for(scene))["level"]
+    particles = particles_of(
+        3, position=np.zeros((3, 3)), radius=np.full(3, 0.01), fixed=np.zeros(3), mass=np.ones(3),
+        material=np.zeros(3, int), clump=np.full(3, -1), wall_contact_count=np.zeros(3),
+        coordination_number=np.full(3, 2),
+    )  # fmt: skip
+    meter.update(snapshot_of(particles=particles, stage="settle"))
+    meter.update(snapshot_of(particles=particles, stage="shake"))
+    meter.update(snapshot_of(particles=particles | {"coordination_number": np.zeros(3)}, stage="shake"))
+    assert not [each for each in meter.remarks() if "_mean" in each]  # one of two rows
+    meter.update(snapshot_of(particles=particles | {"coordination_number": np.zeros(3)}, stage="shake"))
+    continued = metric_meters(plan_for(scene))["level"]
+    continued.load_state_dict(meter.state_dict())
+    (remark,) = [each for each in continued.remarks() if each.startswith("bed_height_mean")]
+    assert remark == (
+        "bed_height_mean is the mean of 1 of the 3 rows of the stage shake; bed_height is NaN in the others"
+    )

@@ -164,6 +164,14 @@ def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
     return np.asarray(np.logical_and(above, below).all(axis=1))
 
 
+def _bodies(particles: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Number (n,), from 0, of the clump of each sphere, or of a sphere without one."""
+    own = particles["id"]
+    clump = particles.get("clump", np.full(len(own), -1))
+    body: np.ndarray = np.unique(np.where(clump >= 0, clump, own), return_inverse=True)[1]
+    return body
+
+
 def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
@@ -692,7 +700,8 @@ class HeightMetric(Metric):
 
     The vertical is opposite to gravity. The free surface consists of the tops of the highest particles of
     columns that are two Sauter mean diameters wide. Particles with fewer than two contacts, such as those
-    that fall, are excluded from the surface, but not from the volume.
+    that fall, are excluded from the surface, but not from the volume. If these are more than half, as in a
+    vibrated bed in flight, there is no free surface, and its heights are NaN.
 
     >>> gf.HeightMetric(base="5 mm").share
     0.95
@@ -725,17 +734,28 @@ class HeightMetric(Metric):
         points = particles["position"].astype(float) @ frame.T
         radius = particles["radius"].astype(float)
         volume = _volume(particles, scene)
-        rests = particles["coordination_number"] + _wall_contacts(particles) >= MIN_CONTACTS
+        contacts = particles["coordination_number"] + _wall_contacts(particles)
+        rests = contacts >= MIN_CONTACTS
+        of_bodies = np.bincount(_bodies(particles), contacts) >= MIN_CONTACTS
         tops: np.ndarray = np.zeros(0)
-        if rests.any():
+        if rests.any() and of_bodies.mean() >= LEAST_RESTING:
             tops = surface_points(points[rests], radius[rests], column_edge(radius[rests]))[:, 2]
         numbers = {
             "bed_height": _mean(tops) - self.base,
             "heap_height": float(tops.max(initial=-np.inf)) - self.base if len(tops) else float("nan"),
             "height_of_volume": height_of_share(points[:, 2], radius, volume, self.share) - self.base,
         }
-        remark = "the height of the bed is NaN: no particle in the region has two contacts"
+        remark = (
+            f"the height of the bed is NaN: {of_bodies.sum()} of {len(of_bodies)} particles in the region "
+            "have two contacts, but at least half are required for a free surface; height_of_volume needs no "
+            "contacts"
+        )
         return Reading(numbers, "" if len(tops) else remark)
+
+
+LEAST_RESTING = 0.5
+"""Share of particles with MIN_CONTACTS contacts from which a bed has a free surface: in a bed at rest nine
+of ten have them, in a vibrated bed in flight few, which are somewhere in it."""
 
 
 # Directions of contacts
@@ -972,11 +992,8 @@ class CoordinationMetric(Metric):
         A clump is one particle with the contacts of all of its spheres; its center is the mean of theirs.
         """
         particles = mobile_particles(snapshot.particles)
-        own = particles["id"]
-        clump = particles.get("clump", np.full(len(own), -1))
-        _, body, spheres = np.unique(
-            np.where(clump >= 0, clump, own), return_inverse=True, return_counts=True
-        )
+        body = _bodies(particles)
+        spheres = np.bincount(body)
         center = [np.bincount(body, each) / spheres for each in particles["position"].astype(float).T]
         inside = _inside(np.column_stack(center), self.region)
         counts = (particles["coordination_number"], _wall_contacts(particles))
