@@ -18,6 +18,12 @@ from granflow.io.tables import write_table
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#7F7F7F")
 """Colors distinguishable for color-blind readers and in gray (Okabe & Ito 2008, plus two)."""
+COLOR_NAMES = dict(
+    zip(
+        ("blue", "red", "green", "pink", "orange", "lightblue", "black", "brown", "gray"), COLORS, strict=True
+    )
+)
+"""Colors by the name of a group or material that is called like a color."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 """Markers by index of the series."""
 POINTS = {"linestyle": "none", "markersize": 4.0, "markerfacecolor": "white", "markeredgewidth": 0.9}

@@ -481,12 +481,16 @@ def _refuse_without_positive(panels: Sequence[Panel], axis: str) -> None:
             )
 
 
+FEW_POINTS = 20
+"""Number of points of a curve up to which each has a marker: stages or runs of a sweep, for example."""
+
+
 def _draw(figure: Any, panels: Sequence[Panel], logarithmic: str) -> None:
     """Draw the panels on an empty matplotlib figure."""
     for panel, axes in zip(panels, stacked_panels(figure, len(panels), sharex=True), strict=True):
         for number, curve in enumerate(panel.curves):
             look = {"color": COLORS[number % len(COLORS)], "linestyle": LINE_STYLES[number // len(COLORS)]}
-            point = {"marker": "o", "markersize": 3.0} if len(curve.x) == 1 else {}
+            point = {"marker": "o", "markersize": 3.0} if len(curve.x) <= FEW_POINTS else {}
             axes.plot(curve.x, curve.y, label=_without_formulas(curve.name), **look, **point)
         axes.set_xlabel(_without_formulas(panel.x_title))
         axes.tick_params(labelbottom=True)
@@ -532,7 +536,7 @@ def _plot(panel: Panel, logarithmic: str) -> Plot:
         data.append(
             {
                 "type": "scatter",
-                "mode": "lines" if len(x) > 1 else "markers",
+                "mode": "lines" if len(x) > FEW_POINTS else "lines+markers",
                 "name": escaped(visible(curve.name)),
                 "x": plain_numbers(x),
                 "y": plain_numbers(y),

@@ -22,7 +22,7 @@ from granflow.errors import GranflowError
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES, WALL_ARRAY_QUANTITIES
 from granflow.io.files import replacing
 from granflow.schema.messages import nearest
-from granflow.studies.figures import COLORS, styled_figure
+from granflow.studies.figures import COLOR_NAMES, COLORS, styled_figure
 from granflow.studies.frames import (
     COLORS_OF_WALLS,
     OPENING,
@@ -382,6 +382,18 @@ class Scale:
             return OF_CONTACTS
         return SIGNED if self.limits[0] < 0.0 < self.limits[1] else UNSIGNED
 
+    @property
+    def palette(self) -> tuple[str, ...]:
+        """Colors of the categories, by number modulo their count: COLORS, in another order if a category has
+        the name of one of them."""
+        colors = list(COLORS)
+        for number, name in (self.names or {}).items():
+            wanted = COLOR_NAMES.get(name.lower())
+            if wanted is not None and number < len(colors):
+                place = colors.index(wanted)
+                colors[number], colors[place] = wanted, colors[number]
+        return tuple(colors)
+
 
 PERCENTILES = (1.0, 99.0)
 """Percentiles of all values in all frames that limit the range; values beyond have the color of the limit."""
@@ -494,7 +506,7 @@ def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
     from matplotlib import colormaps, colors
 
     if scale.names is not None:
-        wheel = np.array([colors.to_rgb(color) for color in COLORS])
+        wheel = np.array([colors.to_rgb(color) for color in scale.palette])
         shown = wheel[values.astype(np.int64) % len(wheel)]
     else:
         low, high = scale.limits
@@ -757,7 +769,7 @@ def legend_strip(scale: Scale, time: str, height: int, shown_height: float, spee
         _scale_bar(figure, shown_height, letters)
         title = "\n".join(_title_lines(scale))
         figure.text(BAR[0], BAR[1] + BAR[3] + 0.025, title, va="bottom", linespacing=1.15)
-        _legend(figure, scale.names, letters) if scale.names is not None else _bar(figure, scale, letters)
+        _legend(figure, scale, letters) if scale.names is not None else _bar(figure, scale, letters)
         figure.canvas.draw()
         return np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy()
 
@@ -808,12 +820,12 @@ def round_length(largest: float) -> float:
     return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= largest * (1.0 + 1e-9)))
 
 
-def _legend(figure: Any, names: Mapping[int, str], letters: float) -> None:
+def _legend(figure: Any, scale: Scale, letters: float) -> None:
     """A colored dot and a name for each material or group, as many as fit."""
     line = 1.5 * letters / (72.0 * figure.get_figheight())
-    for row, (number, name) in enumerate(list(names.items())[: int(BAR[3] / line)]):
+    for row, (number, name) in enumerate(list((scale.names or {}).items())[: int(BAR[3] / line)]):
         height = BAR[1] + BAR[3] - (row + 0.5) * line
-        color = COLORS[number % len(COLORS)]
+        color = scale.palette[number % len(COLORS)]
         figure.text(BAR[0], height, "\N{BLACK CIRCLE}", color=color, va="center", family="DejaVu Sans")
         figure.text(BAR[0] + 0.13, height, name, va="center")
 

@@ -276,8 +276,8 @@ def _quantity_header(scale: Scale) -> dict[str, Any]:
     """Title, colors and labels of a color scale."""
     title = scale.title.replace("\n", ", ") + (f" ({scale.unit})" if scale.unit else "")
     if scale.names is not None:
-        names = [[name, COLORS[number % len(COLORS)]] for number, name in scale.names.items()]
-        return {"title": title, "palette": COLORS, "names": names}
+        names = [[name, scale.palette[number % len(COLORS)]] for number, name in scale.names.items()]
+        return {"title": title, "palette": scale.palette, "names": names}
     palette = SIGNED_PALETTE if scale.map_name == SIGNED else UNSIGNED_PALETTE
     labels = [f"{limit / scale.factor:.3g}" for limit in scale.limits]
     return {"title": title, "palette": palette, "labels": labels}

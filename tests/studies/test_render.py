@@ -14,6 +14,7 @@ from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
+from granflow.studies.figures import COLORS
 from granflow.studies.frames import (
     OPENING,
     VIEWS,
@@ -30,7 +31,7 @@ from granflow.studies.frames import (
     selected_frames,
     view_of,
 )
-from granflow.studies.render import UNSIGNED, prefixed, scale_for, speed_of, values_of
+from granflow.studies.render import UNSIGNED, Scale, prefixed, scale_for, speed_of, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -286,3 +287,15 @@ def test_stopped_film_leaves_no_file(run, monkeypatch, capsys):
     message = capsys.readouterr().err
     assert "stopped after 1 of 4 frames; no animation is written." in message
     assert not list((run / "pictures").iterdir())
+
+
+def test_groups_with_names_of_colors_have_these_colors():
+    names = {0: "red", 1: "beads", 2: "Blue", 3: "green"}
+    scale = Scale("group", "group", "", 1.0, (0.0, 3.0), names)
+    assert sorted(scale.palette) == sorted(COLORS)
+    assert [scale.palette[k] for k in (0, 2, 3)] == [
+        "#D55E00",
+        "#0072B2",
+        "#009E73",
+    ]  # vermilion, blue, green
+    assert Scale("group", "group", "", 1.0, (0.0, 1.0), {0: "a", 1: "b"}).palette == COLORS
