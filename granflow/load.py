@@ -178,7 +178,7 @@ class Scene(SceneInput):
         """Rows of the displays of a scene: label and text."""
         count = sum(group.count for group in self.particles.values())
         longest = self.longest_duration
-        stages = f" in {len(self.stages)} stages" if self.stages else ""
+        stages = f" in {numbered(len(self.stages), 'stage')}" if self.stages else ""
         return [
             ("particles", f"{numbered(count, 'particle')} in {numbered(len(self.particles), 'group')}"),
             ("walls", numbered(len(self.walls), "wall")),
