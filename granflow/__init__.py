@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.metrics import GranularTemperatureMetric as GranularTemperatureMetric
     from granflow.scene.blocks.metrics import HeightMetric as HeightMetric
     from granflow.scene.blocks.metrics import LaceyMetric as LaceyMetric
+    from granflow.scene.blocks.metrics import OrientationMetric as OrientationMetric
     from granflow.scene.blocks.metrics import ReposeMetric as ReposeMetric
     from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
     from granflow.scene.blocks.metrics import SlidingMetric as SlidingMetric
@@ -182,6 +183,7 @@ _LOCATIONS = {
     "MeshWall": "granflow.scene.blocks.walls.mesh.MeshWall",
     "NormalSizes": "granflow.scene.blocks.sizes.NormalSizes",
     "Numerics": "granflow.scene.blocks.run.Numerics",
+    "OrientationMetric": "granflow.scene.blocks.metrics.OrientationMetric",
     "Oscillation": "granflow.scene.blocks.motions.Oscillation",
     "Output": "granflow.scene.blocks.output.Output",
     "OutputError": "granflow.errors.OutputError",

@@ -1,5 +1,7 @@
 """Metrics of synthetic beds with known values."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of
@@ -11,6 +13,7 @@ from granflow.plan.build import plan_for
 from granflow.scene.blocks.metrics import (
     METRIC_QUANTITIES,
     CoordinationMetric,
+    OrientationMetric,
     Reading,
     anisotropy,
     center_of_mass,
@@ -619,3 +622,54 @@ def test_a_mean_over_few_rows_of_a_stage_says_so():
     assert remark == (
         "bed_height_mean is the mean of 1 of the 3 rows of the stage shake; bed_height is NaN in the others"
     )
+
+
+def rods(axes, spheres=3, spacing=0.01):
+    """Particle arrays of rods with unit vectors (k, 3), three spheres each, at random places."""
+    count = len(axes)
+    middle = np.random.default_rng(2).uniform(0.0, 1.0, (count, 3))
+    along = spacing * (np.arange(spheres) - 0.5 * (spheres - 1))
+    position = (middle[:, None, :] + along[None, :, None] * axes[:, None, :]).reshape(-1, 3)
+    total = count * spheres
+    return particles_of(
+        total, id=np.arange(total), position=position, mass=np.ones(total), fixed=np.zeros(total, np.uint8),
+        clump=np.repeat(spheres * np.arange(count), spheres), group=np.zeros(total, int),
+    )  # fmt: skip
+
+
+def test_orientation_of_parallel_and_of_random_rods():
+    """Parallel rods have S = 1; random ones <u u> = 1/3 and the mean inclination pi/2 - 1.
+
+    The inclination b has the density cos b on [0, pi/2]: mean pi/2 - 1, mean square pi^2/4 - 2.
+    """
+    scene = SimpleNamespace(gravity=(0.0, 0.0, -9.81), groups=("rods",), domain=SimpleNamespace(periodic=()))
+    metric = OrientationMetric()
+
+    def found(axes):
+        return metric.measure(snapshot_of(particles=rods(axes)), scene).numbers
+
+    tilted = np.array([0.6, 0.0, 0.8])
+    parallel = found(np.tile(tilted, (50, 1)) * np.where(np.arange(50) % 2, 1.0, -1.0)[:, None])
+    assert parallel["order_parameter"] == pytest.approx(1.0)
+    assert parallel["inclination"] == pytest.approx(np.arcsin(0.8))
+    assert [parallel[f"alignment_{k}"] for k in "xyz"] == pytest.approx([0.36, 0.0, 0.64])
+    count = 4000
+    random = np.random.default_rng(5).normal(size=(count, 3))
+    numbers = found(random / np.linalg.norm(random, axis=1, keepdims=True))
+    deviation = np.sqrt(np.pi**2 / 4.0 - 2.0 - (np.pi / 2.0 - 1.0) ** 2)
+    assert numbers["inclination"] == pytest.approx(np.pi / 2.0 - 1.0, abs=4.0 * deviation / np.sqrt(count))
+    square = 4.0 * np.sqrt(4.0 / 45.0 / count)  # of cos^2 of a random direction: 1/5 - 1/9
+    assert all(numbers[f"alignment_{k}"] == pytest.approx(1.0 / 3.0, abs=square) for k in "xyz")
+    assert 0.0 < numbers["order_parameter"] < 1.5 * 3.0 * square
+
+
+def test_orientation_across_a_periodic_boundary_and_of_bodies_without_an_axis():
+    domain = SimpleNamespace(periodic=("x",), min=(0.0, 0.0, 0.0), max=(1.0, 1.0, 1.0))
+    scene = SimpleNamespace(gravity=(0.0, 0.0, -9.81), groups=("rods",), domain=domain)
+    particles = rods(np.array([[1.0, 0.0, 0.0]]))
+    particles["position"] = np.array([[0.99, 0.5, 0.5], [0.0, 0.5, 0.5], [0.01, 0.5, 0.5]])
+    numbers = OrientationMetric().measure(snapshot_of(particles=particles), scene).numbers
+    assert numbers["alignment_x"] == pytest.approx(1.0) and numbers["inclination"] == pytest.approx(0.0)
+    corner = 0.5 + 0.01 * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    flat = OrientationMetric().measure(snapshot_of(particles=particles | {"position": corner}), scene)
+    assert np.isnan(flat.numbers["order_parameter"]) and "no clumps with a longest axis" in flat.remark
