@@ -22,6 +22,7 @@ from granflow.importing.deck import (
 from granflow.importing.language import DeckError
 from granflow.importing.materials import material_of
 from granflow.importing.meshes import FlatFace, flat_face
+from granflow.importing.pouring import Pouring
 from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, plain_name, quantities, quantity
@@ -727,6 +728,8 @@ class Pour:
     is_range: bool
     density: float
     fraction: float
+    attempts: int
+    """Of the code to place a particle of a batch, on average."""
     rate: float
     velocity: Vector
     """At the upper end of the region, in the mean."""
@@ -743,7 +746,7 @@ def pour(deck: Deck, fix: Fix) -> None:
     unit = deck.si(1.0, "length")
     diameters, is_range = [(unit, 1.0)], False
     densities = (deck.si(1.0, "density"),) * 2
-    fraction, rate, velocity = 0.25, 0.0, (0.0, 0.0, 0.0)
+    fraction, attempts, rate, velocity = 0.25, 50, 0.0, (0.0, 0.0, 0.0)
     while words:
         key = words.word("a keyword")
         if key == "region":
@@ -771,7 +774,7 @@ def pour(deck: Deck, fix: Fix) -> None:
             densities = (words.positive("the density", "density"), words.positive("the density", "density"))
         elif key == "vol":
             fraction = words.positive("the volume fraction", "number")
-            words.whole("the number of attempts")
+            attempts = words.whole("the number of attempts")
         elif key == "rate":
             rate = words.number("the rate", "velocity")
         elif key == "vel":
@@ -807,7 +810,7 @@ def pour(deck: Deck, fix: Fix) -> None:
     if type < 1:
         fix.entry.impossible(f"pour of the type {type}", "an atom type from 1")
         return
-    values = (diameters, is_range, density, fraction, rate, velocity, deck.step_here)
+    values = (diameters, is_range, density, fraction, attempts, rate, velocity, deck.step_here)
     fix.data = Pour(count, type, region, *values)
 
 
@@ -858,7 +861,17 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
             classes = [{"diameter": quantity(d, "length"), "fraction": share} for d, share in given.diameters]
             sizes = {"distribution": "classes", "by": "number", "classes": classes}
     volume = volume_of(given.region) or _box_volume(extent)
-    batch = max(1.0, floor(given.fraction * volume / (pi / 6.0 * mean_cube)))
+    if given.region.kind == "block":  # LAMMPS takes at least one unit of length along y
+        depth = extent[3] - extent[2]
+        volume *= max(depth, deck.si(1.0, "length")) / depth
+    requested = max(1, floor(given.fraction * volume / (pi / 6.0 * mean_cube)))
+    requested = min(requested, given.count)
+    batch = max(1.0, round(_pouring(given, extent, requested).batch()))
+    if batch < 0.98 * requested:
+        fix.entry.approximated(
+            f"a batch has about {batch:.0f} particles, at which the code gives up to place {requested} "
+            "(less insertions than requested); batches differ by about 10 %"
+        )
     given.region.entry.translated(f"particles.{plain_name(fix.name, 'group')}.insert.face")
     start, end = _window(deck, fix)
     speed = sqrt(down**2 + 2.0 * g * height)
@@ -907,6 +920,21 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
         values = {"count": count, "diameter": sizes, "velocity": velocity, "insert": insert}
         sort = (given.type, given.density, radii, mean_radius)
         deck.particles.append(ParticleGroup(name, *sort, values, (fix.entry,)))
+
+
+def _pouring(given: Pour, extent: tuple[float, ...], requested: int) -> Pouring:
+    """The random insertion of one batch of the code."""
+    radii = 0.5 * np.array([diameter for diameter, _ in given.diameters])
+    shares = np.array([share for _, share in given.diameters])
+
+    def draw(rng: np.random.Generator) -> float:
+        return float(rng.uniform(*radii) if given.is_range else rng.choice(radii, p=shares / shares.sum()))
+
+    is_block = given.region.kind == "block"
+    sides = (extent[1] - extent[0], extent[3] - extent[2]) if is_block else None
+    radius = 0.0 if is_block else given.region.numbers[2]
+    height = extent[5] - extent[4]
+    return Pouring(sides, radius, height, draw, float(radii.max()), requested, given.attempts)
 
 
 def _stage_starts(deck: Deck) -> list[float]:
