@@ -1,5 +1,6 @@
 """Box and walls of a script: boundaries, fix wall/gran and wall/gran/region."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
@@ -299,6 +300,60 @@ def wall_gran_region(deck: Deck, fix: Fix) -> None:
             fix.entry.impossible(f"the keyword {key} of a wall")
             words.skip()
     fix.data = RegionWall(region.name, wall_contact(deck, model, 0))
+
+
+# Floors
+
+FLOOR_POINTS = 5
+"""Points along each side of a region, below which a floor is looked for."""
+FLOOR_SHARE = 0.8
+"""Share of these points with a floor, from which on the region is closed below."""
+
+
+def has_floor(
+    deck: Deck, runs: Sequence[Run], extent: Sequence[float], gravity: Sequence[float], reach: float
+) -> bool:
+    """Whether a plane or meshes close a region toward gravity, so that particles stay in it.
+
+    extent:  low and high end of the region along x, y and z [m]
+    reach:   distance [m] of the floor below the region up to which it counts
+    """
+    k = int(np.argmax(np.abs(gravity)))
+    if not runs or not gravity[k]:
+        return False
+    down = float(np.sign(gravity[k]))
+    ends = sorted(down * each for each in extent[2 * k : 2 * k + 2])  # along gravity
+    sides = [each for each in range(3) if each != k]
+    shares = (np.arange(FLOOR_POINTS) + 0.5) / FLOOR_POINTS
+    grid = [extent[2 * i] + shares * (extent[2 * i + 1] - extent[2 * i]) for i in sides]
+    points = np.stack(np.meshgrid(*grid), axis=-1).reshape(-1, 2)
+    found = np.zeros(len(points), bool)
+
+    def is_near(along: Any) -> Any:
+        return (ends[0] < down * along) & (down * along <= ends[1] + reach)
+
+    for fix in deck.fixes_of("wall/gran"):
+        if fix.data is None or not any(fix.acts_in(run) for run in runs):
+            continue
+        if isinstance(fix.data, Primitive) and fix.data.style == PLANES[k]:
+            found |= any(is_near(np.array(each)) for each in fix.data.planes.values())
+        for mesh, _ in fix.data.meshes if isinstance(fix.data, MeshWalls) else ():
+            for corners in mesh.data.triangles():
+                weights = _weights(corners[:, sides], points)
+                inside = (weights >= 0.0).all(axis=1)
+                found |= inside & is_near(weights @ corners[:, k])
+    return bool(found.mean() >= FLOOR_SHARE)
+
+
+def _weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates (n, 3) of points (n, 2) in a triangle (3, 2); -1 for one of no area."""
+    (a, b), (c, d) = corners[1:] - corners[0]
+    area = a * d - b * c
+    if area == 0.0:
+        return np.full((len(points), 3), -1.0)
+    x, y = (points - corners[0]).T
+    second, third = (x * d - y * c) / area, (y * a - x * b) / area
+    return np.column_stack((1.0 - second - third, second, third))
 
 
 # The blocks

@@ -19,6 +19,7 @@ from granflow.importing.deck import (
     Words,
     impossible,
 )
+from granflow.importing.geometry import has_floor
 from granflow.importing.language import DeckError
 from granflow.importing.materials import material_of
 from granflow.importing.meshes import FlatFace, flat_face
@@ -35,6 +36,8 @@ MOST_BATCHES = 12
 """Number of batches of an insertion that become groups of their own; more become a constant rate."""
 MOST_FILLED = 0.4
 """Largest solid fraction that insert/pack reaches in the volume of the centers; measured with LIGGGHTS."""
+AT_REST = 0.58
+"""Solid fraction of particles at rest on a floor."""
 BURST = 0.02
 """Duration of the insertion of a batch over the time between two batches."""
 
@@ -644,7 +647,7 @@ class Amount:
                 f"{count:.0f} particles do not fit by random insertion, which in the script ends at about "
                 f"{most:.0f} particles"
             )
-        count = min(count, most) * self.share
+        target, count = count, min(count, most) * self.share
         first = {"count": max(1, round(count))}
         pack = {"kind": "pack", "region": region}
         step = deck.time_step or 0.0
@@ -660,25 +663,35 @@ class Amount:
             batches -= 1  # the script ends, or the fix, before the next insertion
         if batches <= 0:
             return parts
-        leaving = _travel(
-            gravity_at(deck, deck.acting(fix)[0]), given.velocity, every, extent_of(deck, given.region)
-        )
-        refill = max(1, round(count * leaving))
-        if leaving < 1.0:
+        extent = extent_of(deck, given.region)
+        gravity = gravity_at(deck, deck.acting(fix)[0])
+        leaving = _travel(gravity, given.velocity, every, extent)
+        if has_floor(deck, deck.acting(fix), extent, gravity, 2.0 * self.mean_radius):
+            refills = self._refills_above_floor(count, target * self.share, leaving, batches, extent)
+            numbers = ", ".join(map(str, refills)) or "none"
             fix.entry.approximated(
-                f"a refill of the region every {every:g} s is {refill} of {round(count)} particles: those "
-                "that leave it in this time by free fall"
+                f"refills of the region every {every:g} s are {numbers}: particles "
+                f"stay above the floor of the region, until {round(target * self.share)} are in it"
             )
-        if batches <= MOST_BATCHES:
-            for k in range(1, batches + 1):
+        else:
+            refills = [max(1, round(count * leaving))] * batches
+            if leaving < 1.0:
+                fix.entry.approximated(
+                    f"a refill of the region every {every:g} s is {refills[0]} of {round(count)} particles: "
+                    "those that leave it in this time by free fall"
+                )
+        if len(refills) <= MOST_BATCHES:
+            for k, refill in enumerate(refills, 1):
                 times = {"rate": refill / (BURST * every), "start": start + k * every}
                 rain = self._rain(region, **times)
                 rain["end"] = quantity(
-                    start + (k + 0.5) * every, "time"
+                    start + (k + 2.0 * BURST) * every, "time"
                 )  # those without a place are given up
                 parts.append((f"_{k + 1}", {"count": refill}, rain))
-            fix.entry.approximated(f"a refill takes {BURST * every:.2g} s, not one step")
+            if refills:
+                fix.entry.approximated(f"a refill takes {BURST * every:.2g} s, not one step")
             return parts
+        batches, refill = len(refills), round(sum(refills) / len(refills))
         # Constant flow, in which a refill is spread over the interval around its time.
         first_time, last_time = start + 0.5 * every, start + (batches + 0.5) * every
         times = {"rate": refill / every, "start": first_time}
@@ -687,6 +700,27 @@ class Amount:
             rain["end"] = quantity(last_time, "time")
         fix.entry.approximated(f"{batches} refills every {every:g} s are a constant rate")
         return [*parts, ("_refill", {"count": refill * batches}, rain)]
+
+    def _refills_above_floor(
+        self, first: float, target: float, leaving: float, batches: int, extent: tuple[float, ...]
+    ) -> list[int]:
+        """Numbers of particles of the refills of a region that is closed below, until it has `target`.
+
+        Random insertion fills what is above the particles at rest, and at most the share that the particles
+        of the batch before have left, as it fills the whole region: with `first` particles.
+        """
+        region = self.given.region
+        assert region is not None
+        volume = self.given.distribution.mean_volume / (volume_of(region) or _box_volume(extent))
+        present, refills = float(round(first)), []
+        for _ in range(batches):
+            free = max(0.0, 1.0 - present * volume / AT_REST)
+            refill = round(min(first * min(leaving, free), target - present))
+            if refill <= 0:
+                break
+            refills.append(refill)
+            present += refill
+        return refills
 
     def _saturation(self, region: Region) -> float:
         """Volume [m3] of particles at which random insertion into a region ends: MOST_FILLED of the volume in

@@ -64,10 +64,10 @@ class Pouring:
             failed, tried = 0, 4
             while failed < min(left, MOST_FAILED):
                 places = self._places(rng, min(tried, left - failed), width if share < 1.0 else 0.0)
-                apart = places[:, None] - others
+                offset = places[:, None] - others
                 if share < 1.0:
-                    apart -= width * np.round(apart / width)
-                free = np.flatnonzero(((apart**2).sum(axis=2) > reach).all(axis=1))
+                    offset -= width * np.round(offset / width)
+                free = np.flatnonzero(((offset**2).sum(axis=2) > reach).all(axis=1))
                 if len(free):
                     failed += int(free[0]) + 1
                     points[count], radii[count] = (*places[free[0]], height), radius

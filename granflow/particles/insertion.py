@@ -99,7 +99,7 @@ MAX_RETRIED_BATCHES = 4
 full region."""
 SAVED_FIELDS = ("queued", "due_count", "batch_count", "start", "is_over", "next_time")
 """Attributes of an inserter in checkpoints: particle numbers (q,), counts, the start [s], whether its stages
-are over, and the time of the next batch [s]."""
+or its time are over, and the time of the next batch [s]."""
 ATTEMPTS = (8, 56)
 """Positions tried for a particle: in the first round, and in the second round after a failure of the
 first."""
@@ -116,7 +116,8 @@ class Inserter:
     the next batch. Walls are not considered. The positions depend on the seed of the scene, the number of the
     batch, and the existing particles.
 
-    With `stages`, start is that of the first of them (`begin_stage`), and infinite before.
+    With `stages`, start is that of the first of them (`begin_stage`), and infinite before. After the last of
+    them, or after `end`, nothing is inserted, queued particles included.
 
     `radius`, `mass`, `delays` (count,): radii [m], masses [kg] and due times after the start [s] in the order
     of insertion, read-only; of clumps the radius of the sphere around each.
@@ -223,6 +224,9 @@ class Inserter:
         particles = particles_of(self.group, centers, self.radius[inserted], self.batch_count)
         self.batch_count += 1
         self.next_time = self.time_after(time)
+        end = self.group.spec.insert.end
+        if end is not None and self.next_time > end + DUE_TOLERANCE * self.interval:
+            self.is_over, self.next_time = True, math.inf
         return particles
 
     def time_after(self, time: float) -> float:

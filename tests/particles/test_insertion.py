@@ -128,6 +128,19 @@ def test_insertion_stops_in_a_full_region():
     assert rain.remaining == 4000 - len(radius) > 0
 
 
+def test_queued_particles_are_given_up_at_the_end():
+    """800 particles of 2 to 4 mm are due in 10 ms; a part of them is queued, and nothing enters after the end."""
+    insertion = {"kind": "rain", "region": REGION, "rate": 80000.0, "end": 0.01}
+    scene = scene_with({"rain": {"diameter": UNIFORM, "insert": insertion}})
+    (rain,) = inserters(scene)
+    existing = np.random.default_rng(1).uniform([-0.08, -0.08, 0.4], [0.08, 0.08, 0.46], (4000, 3))
+    while rain.next_time < inf:
+        assert rain.next_time <= 0.01 + 1e-9
+        rain.insert_due(rain.next_time, existing, np.full(4000, 0.008))
+    assert rain.due_count == 800 and len(rain.queued) > 0
+    assert rain.is_over and not rain.is_pending
+
+
 def test_particles_larger_than_the_region_are_rejected():
     insertion = {"kind": "rain", "region": REGION, "rate": 1.0}
     with pytest.raises(SceneError, match=r"particles\.wide\.count is 3, but none fits in its region"):

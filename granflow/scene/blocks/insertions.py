@@ -490,8 +490,8 @@ class RainInsertion(TimedInsertion):
     """Insertion at random free positions in a region, until the count, the mass, the end time or the end of
     the run is reached.
 
-    Particles without a free position are queued and inserted first in the next batch. Walls are not
-    considered.
+    Particles without a free position are queued and inserted first in the next batch, until the end. Walls
+    are not considered.
 
     >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0.1], max=[0.1, 0.1, 0.2]))
     >>> gf.RainInsertion(region=region, mass_flow="2 t/h", end="1 s").end
