@@ -118,7 +118,7 @@ def read_log(folder: Path) -> Course:
     """The course that a code has written to its log; each `run` counts its steps from its first row."""
     rows: list[list[float]] = []
     start = first = None
-    for line in (folder / "log.txt").read_text().splitlines():
+    for line in (folder / "log.txt").read_text(errors="replace").splitlines():
         words = line.split()
         if words[:2] == ["Step", "Dt"]:
             start, first = rows[-1][0] if rows else 0.0, None

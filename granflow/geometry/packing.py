@@ -115,6 +115,10 @@ MAX_SWEEPS = 2000
 STALLED_SWEEPS = 300
 """Number of sweeps without a smaller largest overlap after which they are reported: a sphere is inside an
 obstacle."""
+MAX_REDRAWS = 10
+"""Number of times that spheres trapped between obstacles, which do not move, are drawn again elsewhere."""
+MAX_REDRAWN = 0.1
+"""Largest share of the spheres that is drawn again: with more of them the region is full."""
 TRIED_FRACTIONS = (0.5, 0.45, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1, 0.05)
 """Solid fractions at which a smaller number of spheres is tried if the requested number does not fit."""
 MAX_TRIED = 20_000
@@ -159,9 +163,16 @@ def _packed(
     spheres = Spheres(start, radius).joined(obstacles)
     swelling = 1 + min(SWELLING, (MAX_PACKING_FRACTION / solid_fraction) ** (1 / 3) - 1)
     position = separate_overlapping(spheres, len(radius), region, swelling)
-    if len(overlapping_pairs(Spheres(position, spheres.radius), len(radius))):
-        return None
-    return position[: len(radius)]
+    for _ in range(MAX_REDRAWS):
+        trapped = np.unique(overlapping_pairs(Spheres(position, spheres.radius), len(radius)))
+        trapped = trapped[trapped < len(radius)]
+        if not len(trapped):
+            return position[: len(radius)]
+        if not len(obstacles.radius) or len(trapped) > MAX_REDRAWN * len(radius):
+            return None
+        position[trapped] = region.sample(radius[trapped], random)
+        position = separate_overlapping(Spheres(position, spheres.radius), len(radius), region, swelling)
+    return None
 
 
 def _packable(

@@ -12,14 +12,17 @@ from granflow.importing.deck import MOST_TYPES, Deck, Fix, Run, Translation, Wor
 from granflow.importing.heat import wall_temperature
 from granflow.importing.language import Command, DeckError
 from granflow.importing.materials import (
+    OLD_NAMES,
     OPTIONS,
     Model,
     WallContact,
     granular_model,
     liggghts_model,
+    named_model,
     old_model,
     option,
     wall_contact,
+    with_part,
 )
 from granflow.importing.meshes import Mesh, measure, mesh_keys, surface_motions, wear_keys
 from granflow.importing.motion import mesh_motions, vibration
@@ -130,6 +133,8 @@ def _freeze(deck: Deck) -> None:
 
 PLANES = ("xplane", "yplane", "zplane")
 CYLINDERS = ("xcylinder", "ycylinder", "zcylinder")
+SHAPE_WORDS = ("primitive", "type", "mesh", "mesh/gran", *PLANES, *CYLINDERS)
+"""Words that begin the shape of a wall, after its model."""
 
 
 @dataclass
@@ -151,21 +156,43 @@ class Primitive:
     shear: tuple[str, float] | None = None
 
 
+def wall_gran_named(deck: Deck, fix: Fix) -> None:
+    """fix ID group wall/gran/MODEL ... of LIGGGHTS 1 and 2."""
+    name = fix.style.removeprefix("wall/gran/")
+    fix.style = "wall/gran"
+    words = Words(deck, fix.entry.command, fix.words)
+    _wall(deck, fix, words, named_model(deck, words, fix.entry, name, SHAPE_WORDS))
+
+
 def wall_gran(deck: Deck, fix: Fix) -> None:
     """fix ID group wall/gran MODEL ...: primitive or mesh (LIGGGHTS), zplane LO HI, zcylinder R (LAMMPS)."""
     words = Words(deck, fix.entry.command, fix.words)
-    stop = ("primitive", "mesh", *PLANES, *CYLINDERS)
-    model = _model(deck, fix, words, stop)
+    _wall(deck, fix, words, _model(deck, fix, words, SHAPE_WORDS))
+
+
+def _wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
+    """Read the shape of a wall after its model."""
     style = words.word("the shape of the wall")
+    if style == "mesh/gran":  # LIGGGHTS 1: the number of the meshes and their names
+        count = words.whole("the number of meshes")
+        meshes = [words.mesh() for _ in range(count)]
+        fix.data = MeshWalls(
+            [
+                (each, wall_contact(deck, model, each.data.type))
+                for each in meshes
+                if isinstance(each.data, Mesh)
+            ]
+        )
+        return
     if style == "mesh":
         _mesh_wall(deck, fix, words, model)
         return
     type = 0
-    is_lammps = deck.code == "lammps" or style != "primitive"
-    if style == "primitive":
-        if words.word("type") != "type":
+    is_lammps = deck.code == "lammps" or style not in ("primitive", "type")
+    if style in ("primitive", "type"):
+        if style == "primitive" and words.word("type") != "type":
             raise DeckError(fix.entry.command, "the type of the wall is missing: primitive type N ...")
-        type = words.type()
+        type, is_lammps = words.type(), False
         style = words.word("the shape of the wall")
     if style not in PLANES + CYLINDERS:
         shapes = ", ".join(PLANES + CYLINDERS)
@@ -183,6 +210,8 @@ def wall_gran(deck: Deck, fix: Fix) -> None:
         wall.cylinder = (words.number("the radius", "length"), 0.0, 0.0)
     else:
         wall.cylinder = (words.number("the radius", "length"), *(words.number("c", "length") for _ in "12"))
+    if deck.code == "liggghts" and is_lammps and words:  # LIGGGHTS 1: the type at the end
+        type = words.type()
     _wall_keywords(fix, words, wall)
     wall.contact = wall_contact(deck, wall.contact.model, type)
     if wall.shear is not None and style == "ycylinder" and wall.shear[0] != "y":
@@ -225,6 +254,8 @@ def _wall_keywords(fix: Fix, words: Words, wall: Primitive) -> None:
             model = wall.contact.model
             options = {**model.options, key: option(words, key, fix.entry)}
             wall.contact.model = replace(model, options=options)
+        elif key in ("rolling_friction", "cohesion") and not wall.is_lammps:  # LIGGGHTS 2
+            wall.contact.model = with_part(wall.contact.model, words, fix.entry, key)
         elif key == "temperature":
             wall_temperature(words.deck, fix, words.plain("the temperature"))
         elif key == "contact_area":
@@ -274,6 +305,8 @@ def _mesh_wall(deck: Deck, fix: Fix, words: Words, model: Model) -> None:
                 fix.entry.approximated("output.contacts has the force of each contact with a wall")
         elif key in OPTIONS:
             model = replace(model, options={**model.options, key: option(words, key, fix.entry)})
+        elif key in ("rolling_friction", "cohesion"):  # LIGGGHTS 2
+            model = with_part(model, words, fix.entry, key)
         else:
             fix.entry.impossible(f"the keyword {key} of a mesh wall")
             unknown = f" before the unknown keyword {key}"
@@ -531,6 +564,10 @@ COMMANDS: dict[str, Translation] = {
 FIXES: dict[str, Translation] = {
     "wall/gran": Translation(
         wall_gran, "walls", "planes, cylinders, meshes; wiggle (vibration), shear (surface_velocity)"
+    ),
+    **dict.fromkeys(
+        (f"wall/gran/{name}" for name in OLD_NAMES),
+        Translation(wall_gran_named, "walls", "LIGGGHTS 1 and 2: keywords or two flags"),
     ),
     "wall/gran/region": Translation(
         wall_gran_region, "walls", "block, cylinder, cone, sphere, plane, union, intersect"

@@ -67,7 +67,7 @@ def build(deck: Deck, draft: Draft) -> None:
     fix = acting[0]
     draft.blocks["contact"]["heat"] = "conduction"
     fix.entry.translated("contact.heat", "particles.NAME.temperature")
-    types: dict[str, int] = {name: type for (type, _), name in deck.family["sorts"].items()}
+    types: dict[str, int] = {name: type for (type, *_), name in deck.family["sorts"].items()}
     types |= {each.material: each.type for each in deck.family.get("wall_contacts", [])}
     for name, material in draft.blocks.get("materials", {}).items():
         for given, (key, unit, factor) in KEYS.items():

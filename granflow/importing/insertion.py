@@ -21,7 +21,7 @@ from granflow.importing.deck import (
 )
 from granflow.importing.geometry import has_floor
 from granflow.importing.language import DeckError
-from granflow.importing.materials import material_of
+from granflow.importing.materials import MOST_SIZES, is_by_size, material_of
 from granflow.importing.meshes import FlatFace, flat_face
 from granflow.importing.pouring import Pouring
 from granflow.importing.regions import region_of
@@ -465,10 +465,13 @@ def _travel(gravity: Vector, velocity: Vector, time: float, extent: tuple[float,
 
 
 def _insert(deck: Deck, fix: Fix, given: Insertion) -> None:
-    """The groups of one insertion of LIGGGHTS: one for each type and density of its templates."""
-    kinds: dict[tuple[int, float, int], list[Template]] = {}
+    """The groups of one insertion of LIGGGHTS: one for each type and density of its templates, and for each
+    size if the restitution depends on it."""
+    kinds: dict[tuple[int, float, float], list[Template]] = {}
+    plain = [each for each in given.distribution.templates if each.clump is None and each.sizes is None]
+    by_size = is_by_size(deck) and len({each.radius for each in plain}) <= MOST_SIZES
     for each in given.distribution.templates:
-        own = 0 if each.clump is None and each.sizes is None else id(each)  # a group of its own
+        own = (each.radius if by_size else 0.0) if each in plain else id(each)  # a group of its own
         kinds.setdefault((each.type, each.density, own), []).append(each)
     numbers = given.distribution.number_shares()
     masses = [s * t.volume * t.density for s, t in zip(numbers, given.distribution.templates, strict=True)]
@@ -685,7 +688,7 @@ class Amount:
                 times = {"rate": refill / (BURST * every), "start": start + k * every}
                 rain = self._rain(region, **times)
                 rain["end"] = quantity(
-                    start + (k + 2.0 * BURST) * every, "time"
+                    start + (k + 0.5) * every, "time"
                 )  # those without a place are given up
                 parts.append((f"_{k + 1}", {"count": refill}, rain))
             if refills:
@@ -875,6 +878,7 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     fall = 2.0 * height / (root - relative) if relative < 0.0 else (relative + root) / g
     step = deck.acting(fix)[0].time_step
     interval = max(1, round(fall / given.step)) * step
+    parts: list[tuple[float, Any, tuple[float, float], float]] = []
     if given.is_range:
         low, high = given.diameters[0][0], given.diameters[1][0]
         mean_cube = high**3  # a batch of LAMMPS is counted with the largest particle
@@ -891,7 +895,12 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
         radii = (0.5 * min(given.diameters)[0], 0.5 * max(given.diameters)[0])
         mean_radius = 0.5 * sum(share / total * d**4 for d, share in given.diameters) / mean_cube
         sizes = quantity(given.diameters[0][0], "length")
-        if len(given.diameters) > 1:
+        if 1 < len(given.diameters) <= MOST_SIZES and is_by_size(deck):  # a group for each size
+            parts = [
+                (share / total, quantity(d, "length"), (0.5 * d, 0.5 * d), 0.5 * d)
+                for d, share in given.diameters
+            ]
+        elif len(given.diameters) > 1:
             classes = [{"diameter": quantity(d, "length"), "fraction": share} for d, share in given.diameters]
             sizes = {"distribution": "classes", "by": "number", "classes": classes}
     volume = volume_of(given.region) or _box_volume(extent)
@@ -930,11 +939,7 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
     face = _lower_end(deck, given.region, extent, sum(radii) / 2.0).inlet()
     velocity = quantities([*given.velocity[:2], -speed], "velocity")
     for number, (count, rate, begin) in enumerate(flows, 1):
-        insert: dict[str, Any] = {
-            "kind": "inlet",
-            "face": face,
-            "rate": quantity(float(f"{rate:.6g}"), "rate"),
-        }
+        insert: dict[str, Any] = {"kind": "inlet", "face": face}
         if begin > 0.0:
             insert["start"] = quantity(begin, "time")
         if begin >= end:
@@ -951,9 +956,12 @@ def _pour(deck: Deck, fix: Fix, given: Pour) -> None:
                 appeared = ceil((end - begin) / interval) * min(batch, count)
                 count = int(min(count, appeared))
         name = fix.name if number == 1 else f"{fix.name}_{number}"
-        values = {"count": count, "diameter": sizes, "velocity": velocity, "insert": insert}
-        sort = (given.type, given.density, radii, mean_radius)
-        deck.particles.append(ParticleGroup(name, *sort, values, (fix.entry,)))
+        for share, diameter, extremes, mean in parts or [(1.0, sizes, radii, mean_radius)]:
+            flow = quantity(float(f"{rate * share:.6g}"), "rate")
+            values = {"count": max(1, round(count * share)), "diameter": diameter, "velocity": velocity}
+            values["insert"] = {**insert, "rate": flow}
+            sort = (given.type, given.density, extremes, mean)
+            deck.particles.append(ParticleGroup(name, *sort, values, (fix.entry,)))
 
 
 def _pouring(given: Pour, extent: tuple[float, ...], requested: int) -> Pouring:

@@ -7,7 +7,7 @@ its model differs from that of the particles. Restitution is that of a collision
 its end included.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, inf, log, pi, sqrt
 from typing import Any
@@ -276,7 +276,7 @@ def wall_contact(deck: Deck, model: Model, type: int) -> WallContact:
 
 NORMALS = ("hertz", "hooke", "hooke/stiffness", "hertz/stiffness", "hooke/hysteresis")
 """Normal models of LIGGGHTS with a counterpart."""
-TANGENTIALS = ("history", "no_history", "off")
+TANGENTIALS = ("history", "incremental_history", "no_history", "off")
 COHESIONS = ("off", "sjkr", "sjkr2", "easo/capillary/viscous")
 ROLLINGS = ("off", "cdt", "epsd", "epsd2", "epsd3")
 OPTIONS = (
@@ -307,12 +307,48 @@ def option(words: Words, key: str, entry: Entry) -> bool:
     return is_on
 
 
-def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] = ()) -> Model:
-    """Read `model hertz tangential history ...` up to one of the words `stop`."""
+OLD_NAMES = tuple(
+    f"{normal}{tangential}{kind}"
+    for normal in ("hertz", "hooke")
+    for tangential in ("", "/history")
+    for kind in ("", "/stiffness", "/simple")
+)
+"""Models of LIGGGHTS 1 and 2 in the names of styles such as pair_style gran/hertz/history."""
+
+
+def named_model(deck: Deck, words: Words, entry: Entry, name: str, stop: Sequence[str] = ()) -> Model:
+    """Read what follows a style of LIGGGHTS 1 and 2: keywords, or two flags (LIGGGHTS 1).
+
+    The manual of LIGGGHTS (tutorials on the syntax of 2.0 and 3.0) has their translation: the first flag is 1
+    for tangential damping, 2 for rolling friction (cdt), 3 for both, the second one is 1 for cohesion (sjkr).
+    """
+    parts = name.split("/")
+    normal = parts[0] + ("/stiffness" if {"stiffness", "simple"} & set(parts) else "")
+    chosen = {"tangential": "history" if "history" in parts else "no_history"}
+    options: dict[str, bool] = {}
+    if words.next.isdigit():
+        first = words.whole_between("the flag of damping and rolling friction", 0, 3)
+        options["tangential_damping"] = first in (1, 3)
+        chosen["rolling_friction"] = "cdt" if first >= 2 else "off"
+        chosen["cohesion"] = "sjkr" if words.whole_between("the flag of cohesion", 0, 1) else "off"
+    return liggghts_model(deck, words, entry, stop, normal, chosen, options)
+
+
+def liggghts_model(
+    deck: Deck,
+    words: Words,
+    entry: Entry,
+    stop: Sequence[str] = (),
+    normal: str = "",
+    given: Mapping[str, str] | None = None,
+    options: dict[str, bool] | None = None,
+) -> Model:
+    """Read `model hertz tangential history ...` up to one of the words `stop`; the last arguments are what a
+    style of LIGGGHTS 1 and 2 says before."""
     start = words.at
     chosen = {"tangential": "off", "cohesion": "off", "rolling_friction": "off", "surface": "default"}
-    normal = ""
-    options: dict[str, bool] = {}
+    chosen |= given or {}
+    options = dict(options or {})
     while words and words.next not in stop:
         key = words.word("a keyword")
         if key == "model":
@@ -338,6 +374,8 @@ def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
     if chosen["surface"] not in ("default", "sphere"):
         entry.impossible(f"surface {chosen['surface']}", "spheres without corrections")
     off = {"off": "none"}
+    if chosen["tangential"] == "incremental_history" and not normal.startswith("hertz"):
+        chosen["tangential"] = "history"  # equal with a constant stiffness
     return Model(
         normal=normal if normal in NORMALS else "hertz",
         tangential=off.get(chosen["tangential"], chosen["tangential"]),
@@ -347,6 +385,16 @@ def liggghts_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         cohesion=off.get(chosen["cohesion"], chosen["cohesion"]),
         options=options,
     )
+
+
+def with_part(model: Model, words: Words, entry: Entry, key: str) -> Model:
+    """The model of a wall with the rolling friction or cohesion that follows its shape (LIGGGHTS 2)."""
+    known = ROLLINGS if key == "rolling_friction" else COHESIONS
+    name = words.word(f"the name of the {key} model")
+    if name not in known:
+        entry.impossible(f"the {key} model {name}", f"one of {', '.join(known)}")
+    name = "none" if name == "off" else name
+    return replace(model, rolling=name) if key == "rolling_friction" else replace(model, cohesion=name)
 
 
 def old_model(deck: Deck, words: Words, entry: Entry, style: str) -> Model:
@@ -501,6 +549,8 @@ def pair_style(deck: Deck, command: Command, entry: Entry) -> None:
     deck.family["pair_style"] = style
     if style == "gran":
         deck.family["model"] = liggghts_model(deck, words, entry)
+    elif deck.code == "liggghts" and style.removeprefix("gran/") in OLD_NAMES:
+        deck.family["model"] = named_model(deck, words, entry, style.removeprefix("gran/"))
     elif style.startswith("gran/") and style in PAIR_STYLES:
         deck.family["model"] = old_model(deck, words, entry, style.removeprefix("gran/"))
         if words:
@@ -619,15 +669,43 @@ def _approximations(entry: Entry) -> int:
     return sum(each.kind == APPROXIMATED for each in entry.remarks)
 
 
+MOST_SIZES = 6
+"""Most sizes of one insertion that become materials of their own."""
+
+
+def is_by_size(deck: Deck) -> bool:
+    """Whether the restitution of a model of the script depends on the size of the particles, so that each
+    size has a material."""
+    models = [deck.family.get("model"), *deck.family.get("pair_models", {}).values()]
+    models += [each.model for each in deck.own("wall_contacts", list)]
+    return any(
+        ("E" in each.numbers or each.normal not in ("hertz", "hooke"))
+        and each.damping != "tsuji"
+        and each.normal != "hooke/hysteresis"
+        for each in models
+        if each is not None
+    )
+
+
+def _sort_of(deck: Deck, group: ParticleGroup) -> tuple[int, float, float]:
+    """What distinguishes the materials of groups: type, density, and the radius [m] of groups of one size if
+    the restitution depends on it, otherwise 0."""
+    has_size = is_by_size(deck) and group.radii[0] == group.radii[1] and "clump" not in group.keys
+    return group.type, group.density, group.radii[0] if has_size else 0.0
+
+
 def sorts_of(deck: Deck) -> list[Sort]:
     """The materials of the particles, in the order of the groups."""
-    found: dict[tuple[int, float], list[ParticleGroup]] = {}
+    found: dict[tuple[int, float, float], list[ParticleGroup]] = {}
     for each in deck.particles:
-        found.setdefault((each.type, each.density), []).append(each)
-    types = [type for type, _ in found]
+        found.setdefault(_sort_of(deck, each), []).append(each)
     sorts = []
-    for (type, density), groups in found.items():
-        name = f"type{type}" if types.count(type) == 1 else plain_name(f"type{type}_{density:g}", "type")
+    for (type, density, size), groups in found.items():
+        same = [key for key in found if key[0] == type]
+        parts = [f"type{type}"]
+        parts += [f"{density:g}"] if any(each[1] != density for each in same) else []
+        parts += [f"{2e3 * size:.4g}mm"] if size and any(each[2] != size for each in same) else []
+        name = parts[0] if len(parts) == 1 else plain_name("_".join(parts), "type")
         radii = [radius for each in groups for radius in each.radii]
         radius = sum(each.radius for each in groups) / len(groups)
         sorts.append(Sort(name, type, density, (min(radii), max(radii)), radius))
@@ -640,7 +718,8 @@ def sorts_of(deck: Deck) -> list[Sort]:
 def build(deck: Deck, draft: Draft) -> None:
     """Write the blocks materials, pairs and contact; give groups and walls their materials."""
     sorts = sorts_of(deck)
-    deck.family["sorts"] = {(each.type, each.density): each.name for each in sorts}
+    deck.family["sorts"] = {_sort_of(deck, each): None for each in deck.particles}
+    deck.family["sorts"] = dict(zip(deck.family["sorts"], (each.name for each in sorts), strict=True))
     model = deck.family.get("model")
     models: dict[tuple[int, int], Model] = deck.family.get("pair_models", {})
     walls: list[WallContact] = deck.own("wall_contacts", list)
@@ -681,7 +760,7 @@ def report_properties(deck: Deck) -> None:
 
 def material_of(deck: Deck, group: ParticleGroup) -> str:
     """Name of the material of a group, after `build`."""
-    return str(deck.family["sorts"][group.type, group.density])
+    return str(deck.family["sorts"][_sort_of(deck, group)])
 
 
 @dataclass
@@ -1038,6 +1117,7 @@ class Contacts:
             return {"law": "linear_history", "stiffness": quantity(value, "stiffness"), **keys}
         kept: dict[str, Any] = {
             "mindlin/force": {"unloading": "kept"},
+            "incremental_history": {"unloading": "kept"},
             "mindlin_rescale": {"increments": "displacement"},
             "mindlin_rescale/force": {},
         }.get(name, {"increments": "displacement", "unloading": "kept"})
@@ -1465,6 +1545,7 @@ MODELS: tuple[tuple[str, str, str], ...] = (
     ("granular: hooke", "normal: linear", ""),
     ("granular: hertz, hertz/material", "normal: hertz", "restitution of its damping model"),
     ("granular: dmt, jkr", "cohesion: dmt, jkr", "work of adhesion 2 gamma"),
+    ("tangential incremental_history, mindlin/force", "tangential: {law: mindlin, unloading: kept}", ""),
     (
         "tangential history, mindlin",
         "tangential: {law: mindlin, increments: displacement, unloading: kept}",

@@ -122,7 +122,8 @@ class Inserter:
     `radius`, `mass`, `delays` (count,): radii [m], masses [kg] and due times after the start [s] in the order
     of insertion, read-only; of clumps the radius of the sphere around each.
     `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval`
-    [s]: mean time between particles. `next_time` [s]: time of the next batch; infinite after the last.
+    [s]: mean time between particles. `end` [s]: of the insertion. `next_time` [s]: time of the next batch;
+    infinite after the last.
 
     Raises ValueError for a group of another kind, and RegionFullError if the largest particle does not
     fit into the region.
@@ -136,6 +137,7 @@ class Inserter:
         if not isinstance(insertion, TimedInsertion):
             raise ValueError(f"{group.name} has no particles that enter during the run.")
         self.start = insertion.start if insertion.stages is None else math.inf
+        self.end = math.inf if insertion.end is None else insertion.end
         self.is_over = False
         self.radius = spec.sizes.ordered(spec.count, group.random()) / 2
         self.mass = group.spec.shape.volume(self.radius) * group.density
@@ -224,8 +226,7 @@ class Inserter:
         particles = particles_of(self.group, centers, self.radius[inserted], self.batch_count)
         self.batch_count += 1
         self.next_time = self.time_after(time)
-        end = self.group.spec.insert.end
-        if end is not None and self.next_time > end + DUE_TOLERANCE * self.interval:
+        if self.next_time > self.end + DUE_TOLERANCE * self.interval:
             self.is_over, self.next_time = True, math.inf
         return particles
 

@@ -305,6 +305,58 @@ def test_dashpot_of_hysteresis_lowers_the_restitution(tmp_path):
     assert scene["pairs"]["type1-type1"]["restitution"] < 0.5
 
 
+def test_each_size_has_its_restitution_if_the_model_depends_on_it(tmp_path):
+    """The dashpot gamma M of a linear spring k has e = exp(-pi z / sqrt(1 - z^2)), z = gamma / 2 sqrt(M / k); M:
+    effective mass, of a wall that of the sphere."""
+    properties = "fix m5 all property/global kn peratomtypepair 2 2e3 2e3 2e3 2e3\n"
+    properties += "fix m6 all property/global kt peratomtypepair 2 1e3 1e3 1e3 1e3\n"
+    properties += "fix m7 all property/global gamman peratomtypepair 2 300 300 300 300\n"
+    properties += "fix m8 all property/global gammat peratomtypepair 2 100 100 100 100\n"
+    script = liggghts(properties=properties, model="model hooke/stiffness tangential history")
+    found, scene = imported(tmp_path, script.replace("atom_type 2", "atom_type 1"))
+    mass = {f"type1_{d}mm": 2500.0 * pi / 6.0 * (1e-3 * d) ** 3 for d in (4, 8)}
+    groups = {each["material"]: each["diameter"] for each in scene["particles"].values()}
+    assert groups == {"type1_4mm": "4 mm", "type1_8mm": "8 mm"}
+    for key, pair in scene["pairs"].items():
+        first, second = (mass.get(each, 1e9) for each in key.split("-"))
+        z = 150.0 * sqrt(first * second / (first + second) / 2e3)
+        assert pair["restitution"] == pytest.approx(exp(-pi * z / sqrt(1.0 - z**2)), abs=2e-6), key
+    assert len(scene["pairs"]) == 5
+    assert "depends on the size" not in str(remarks(found, "pair_style"))
+
+
+@pytest.mark.parametrize(
+    ("pair", "wall", "model"),
+    [
+        ("hertz/history", "primitive type 2 zplane 0.0", "hertz tangential history"),
+        ("hertz/history 1 0", "1 0 zplane 0.0 NULL 2", "hertz tangential history"),
+        ("hooke/history 3 1", "3 1 zplane 0.0 NULL 2", "hooke tangential history cohesion sjkr rolling_friction cdt"),
+        ("hooke 0 0", "0 0 zplane 0.0 NULL 2", "hooke tangential no_history tangential_damping off"),
+        ("hertz/history rolling_friction cdt", "primitive type 2 zplane 0.0 rolling_friction cdt",
+         "hertz tangential history rolling_friction cdt"),
+        ("hertz/history cohesion sjkr", "type 2 zplane 0.0 cohesion sjkr", "hertz tangential history cohesion sjkr"),
+    ],
+)  # fmt: skip
+def test_styles_of_liggghts_1_and_2_are_the_models_of_liggghts_3(tmp_path, pair, wall, model):
+    """The equal pairs are those of the tutorials on the syntax of 2.0 and 3.0 in the manual of LIGGGHTS."""
+    properties = "fix m5 all property/global characteristicVelocity scalar 2\n"
+    properties += "fix m6 all property/global cohesionEnergyDensity peratomtypepair 2 1e4 1e4 1e4 1e4\n"
+    properties += "fix m7 all property/global coefficientRollingFriction peratomtypepair 2 .1 .1 .1 .1\n"
+    new = liggghts(properties=properties, model=f"model {model}")
+    old = re.sub("pair_style.*", f"pair_style gran/{pair}", new)
+    old = re.sub("wall/gran .*", f"wall/gran/{pair.split()[0]} {wall}", old)
+    assert old != new
+    (_, before), (_, after) = (imported(tmp_path, text) for text in (new, old))
+    assert after == before
+
+
+def test_incremental_history_keeps_the_force(tmp_path):
+    """The increment of the force is that of the displacement times the present stiffness."""
+    _, scene = imported(tmp_path, liggghts(model="model hertz tangential incremental_history"))
+    tangential = scene["contact"]["tangential"]
+    assert "increments" not in tangential and tangential["unloading"] == "kept"  # the default: force
+
+
 @pytest.mark.parametrize("wall", ["primitive type 1 zplane 0.0", "mesh n_meshes 1 meshes floor"])
 @pytest.mark.parametrize("level", [0.0, -0.05])
 def test_refills_stay_above_a_floor(tmp_path, wall, level):
