@@ -10,6 +10,7 @@ import pytest
 from pydantic import Field
 
 from granflow import Scene, Simulation, register_contact_model, register_particle_equation
+from granflow.contact import registry
 from granflow.contact.law import ContactModel, Flow, PairProperties
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation
@@ -330,19 +331,19 @@ class OtherFlow(Conducting):
     ],
 )  # fmt: skip
 def test_functions_that_return_something_else_are_reported(equation, law, error, message):
+    registry.remove(MODELS[0])  # the schema stays, because names and keys are those of the module
+    registry.remove_equation(EQUATION)
     model = ContactModel(law, "Hertz contacts that conduct", pair_properties=ConductancePair)
-    unregister_contact_model(MODELS[0])
-    unregister_particle_equation(EQUATION)
-    register_contact_model(model)
-    register_particle_equation(equation)
+    registry.add(model)
+    registry.add_equation(equation)
     try:
         with pytest.raises(error, match=message), Simulation(scene_of(PAIR, (HIGH, LOW)), threads=2) as run:
             run.step(2)
     finally:
-        unregister_particle_equation(equation)
-        unregister_contact_model(model)
-        register_contact_model(MODELS[0])
-        register_particle_equation(EQUATION)
+        registry.remove_equation(equation)
+        registry.remove(model)
+        registry.add(MODELS[0])
+        registry.add_equation(EQUATION)
 
 
 @pytest.mark.slow
