@@ -49,6 +49,18 @@ class RunRow:
     warnings: tuple[str, ...] = ()
 
 
+def standard_error_of_mean(values: Sequence[float], errors: Sequence[float]) -> float:
+    """Standard error of the mean of runs with different seeds; `errors`: that the runs give.
+
+    It is nan for fewer than two values without errors of their own; otherwise the larger one of s / sqrt(n)
+    and sqrt(sum e^2) / n: the scatter s between seeds contains the errors e that the runs give
+    (`angle_of_repose_error`), but few seeds may agree by chance.
+    """
+    scatter = float(np.std(values, ddof=1) / sqrt(len(values))) if len(values) > 1 else nan
+    combined = float(np.linalg.norm(errors) / len(errors)) if len(errors) else nan
+    return float(np.fmax(scatter, combined))
+
+
 @dataclass(frozen=True)
 class PointRow:
     """One point with its runs, one for each seed."""
@@ -72,17 +84,8 @@ class PointRow:
         return float(np.mean(values)) if values else nan
 
     def standard_error(self, name: str) -> float:
-        """Standard error of the mean over the seeds.
-
-        It is nan for fewer than two values without errors of their own; otherwise the larger one of s /
-        sqrt(n) and sqrt(sum e^2) / n: the scatter s between seeds contains the errors e that the runs give
-        (`angle_of_repose_error`), but few seeds may agree by chance.
-        """
-        values = self._values(name)
-        own = self._values(error_name(name))
-        scatter = float(np.std(values, ddof=1) / sqrt(len(values))) if len(values) > 1 else nan
-        combined = float(np.linalg.norm(own) / len(own)) if own else nan
-        return float(np.fmax(scatter, combined))
+        """Standard error of the mean over the seeds, see `standard_error_of_mean`."""
+        return standard_error_of_mean(self._values(name), self._values(error_name(name)))
 
     def _values(self, name: str) -> list[float]:
         return [value for each in self.runs if isfinite(value := each.numbers.get(name, nan))]

@@ -28,6 +28,7 @@ from granflow.studies.calibration.trials import (
     partial_loss,
     read_target,
     residuals,
+    simulated,
     standard_errors,
 )
 from granflow.studies.checked_run import RunSettings
@@ -253,6 +254,37 @@ def test_two_workers_find_planted_values_and_continue(tmp_path, stand_in):
     assert len(lines) == 30 and again.parameters == result.parameters
 
 
+def test_trials_with_several_seeds_have_the_loss_of_their_means(tmp_path, stand_in, capsys):
+    """Seeds 1, 2, 3 give friction + 0.1, 0.2, 0.3: a mean of 0.5 needs a friction of 0.3, and its standard
+    error is 0.1 / sqrt(3) = 0.058, or 2.9 tolerances."""
+    pytest.importorskip("optuna")
+    text = CALIBRATION.replace(
+        "kinetic_energy, value: 1 mJ, tolerance: 10 uJ", "gravitational_energy, value: 0.5, tolerance: 0.02"
+    )
+    text = text.replace("search: {trials: 12}", "search: {trials: 25}\nrepeat: {seeds: 3}")
+    study = read_calibration(written(tmp_path, text))
+    result = run_calibration(study, tmp_path / "out", jobs=2)
+    assert result.parameters[0].value == pytest.approx(0.3, abs=0.02)
+    (target,) = result.targets
+    assert target.simulated == pytest.approx(0.2 + result.parameters[0].value, abs=1e-12)
+    assert target.error == pytest.approx(0.1 / np.sqrt(3.0) / 0.02)
+    assert target.shown[1].endswith(" \N{PLUS-MINUS SIGN} 0.058") and "raise repeat.seeds" in target.noise
+    assert len((tmp_path / "out" / "starts.txt").read_text().split("run ")) - 1 == 3 * 25
+    page = (tmp_path / "out" / "calibration.html").read_text()
+    assert "simulated, mean of 3 seeds" in page and "\N{PLUS-MINUS SIGN} 0.058" in page
+    single = estimate_trials(
+        read_calibration(written(tmp_path, text.replace("seeds: 3", "seeds: 1"))), tmp_path / "o"
+    )
+    three = estimate_trials(study, tmp_path / "o")
+    assert three.scenes["pair"] == pytest.approx([3.0 * each for each in single.scenes["pair"]])
+
+
+def test_a_seed_cannot_be_both_set_and_repeated(tmp_path):
+    text = CALIBRATION.replace("scene: spheres.yaml", "scene: spheres.yaml, set: {seed: 4}")
+    with pytest.raises(FileError, match="repeat changes the seed, which scenes.pair.set sets too"):
+        read_calibration(written(tmp_path, text + "repeat: {seeds: 2}\n"))
+
+
 def test_calibration_continues_after_a_full_disk_and_reports_conflicting_targets(
     tmp_path, stand_in, monkeypatch
 ):
@@ -283,7 +315,7 @@ def test_residual_of_a_value_is_the_weighted_deviation_in_tolerances(tmp_path):
     """(5 - 4) / 0.5 = 2 tolerances; the share of the loss is 3 * 2^2 = 12."""
     (tmp_path / "result.json").write_text(json.dumps({"flow_meters": {"out": {"flow_mass": 5.0}}}))
     measured = target(tmp_path, value=4.0)
-    found = residuals(measured, tmp_path)
+    found = residuals(measured, simulated(measured, tmp_path))
     assert float(found @ found) == pytest.approx(12.0)
     assert deviation(measured, {"a": found.tolist()}, "a") == pytest.approx(2.0)
 
@@ -296,7 +328,7 @@ def test_curve_is_compared_from_the_beginning_of_its_stage(tmp_path):
     (tmp_path / "timeseries.csv").write_text("\n".join(["time [s],stage,flow_mass.out [kg]", *rows]) + "\n")
     (tmp_path / "flow.csv").write_text("time,value\n0,1\n0.5,6\n1.1,12\n2,21\n")
     measured = target(tmp_path, curve="flow.csv", stage="out")
-    found = residuals(measured, tmp_path)
+    found = residuals(measured, simulated(measured, tmp_path))
     assert float(found @ found) == pytest.approx(12.0)
     # After 2.25 s of the run, 1.25 s of the stage, three of four points are known: three quarters of the
     # loss.
@@ -348,14 +380,33 @@ def test_standard_error_and_unit_of_a_target(tmp_path):
     """0.2 rad are 3.82 tolerances of 3 deg; the value is shown in degrees, as it is given."""
     angle_run(tmp_path)
     measured = angle_target(tmp_path)
-    assert standard_errors(measured, tmp_path) == pytest.approx([0.2 / np.radians(3.0)])
+    assert errors_of([tmp_path], measured) == pytest.approx([0.2 / np.radians(3.0)])
     assert given_text(measured, np.radians(27.0), "angle_of_repose.left") == "27 deg"
     plain = read_target(
         Target(scene="a", quantity="angle_of_repose.left", value=0.5, tolerance=0.1), tmp_path, ""
     )
     assert given_text(plain, 0.5, "angle_of_repose.left") == "0.5 rad"
     assert error_name("angle_of_repose_mean.left") == "angle_of_repose_error_mean.left"
-    assert standard_errors(target(tmp_path, value=4.0), tmp_path) == [0.0]
+    assert errors_of([tmp_path], target(tmp_path, value=4.0)) == [0.0]
+
+
+def errors_of(directories, measured):
+    """Standard errors of the residuals of a target from runs with different seeds."""
+    values = np.array([simulated(measured, each) for each in directories])
+    return standard_errors(measured, values, directories)
+
+
+def test_standard_error_of_seeds_is_the_larger_one_of_scatter_and_errors_of_the_runs(tmp_path):
+    """Angles 25, 27, 29 deg: s = 2 deg, s / sqrt(3) = 1.155 deg. Errors of 1 deg of each run: sqrt(3) / 3 deg;
+    of 3 deg: 1.732 deg."""
+    for error, expected in ((1.0, 2.0 / np.sqrt(3.0)), (3.0, 3.0 / np.sqrt(3.0))):
+        folders = []
+        for degrees in (25.0, 27.0, 29.0):
+            folders.append(tmp_path / f"{error}_{degrees}")
+            folders[-1].mkdir()
+            angles = {"angle_of_repose": np.radians(degrees), "angle_of_repose_error": np.radians(error)}
+            angle_run(folders[-1], angles)
+        assert errors_of(folders, angle_target(tmp_path)) == pytest.approx([expected / 3.0])
 
 
 def test_missing_value_of_a_trial_is_explained(tmp_path):

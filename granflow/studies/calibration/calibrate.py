@@ -215,7 +215,7 @@ def estimate_trials(file: CalibrationFile, out: Path, threads: int = 1) -> Trial
         for point, values in points.items():
             try:
                 run = checked_scene(file.content, scene, path, file.targets, values, common)
-                seconds.append(run.seconds)
+                seconds.append(file.content.repeat.seeds * run.seconds)
             except SceneError as error:
                 problems = relocated(error, file.positions).problems
                 refused.setdefault(point, []).extend(problems)

@@ -91,8 +91,8 @@ class BestTarget(NamedTuple):
             return ""
         return (
             f"{self.name}: the standard error of {self.quantity} in the best trial is {self.error:.2g} times "
-            "the tolerance, so its deviation says little: simulate more particles, a larger region or a time "
-            "average."
+            "the tolerance, so its deviation says little: raise repeat.seeds, or simulate more particles, "
+            "a larger region or a time average."
         )
 
 
@@ -332,7 +332,7 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, result: Cal
         lead=calibration.description or "Parameters from measured targets.",
         loss=result.loss,
         best=_best(result),
-        targets=_targets(result),
+        targets=_targets(result, calibration.repeat.seeds),
         remarks=result.remarks,
         has_plots=bool(script),
         plots_of_trials=_plots(result, calibration) if script else [],
@@ -349,10 +349,15 @@ def _best(result: CalibrationResult) -> PageTable:
     )
 
 
-def _targets(result: CalibrationResult) -> PageTable:
-    """Targets at the best values."""
-    rows = [(each.name, each.quantity, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
-    return PageTable(("target", "quantity", "measured", "simulated", "deviation / tolerance"), rows)
+def _targets(result: CalibrationResult, seeds: int) -> PageTable:
+    """Targets at the best values, means over the seeds."""
+    simulated = "simulated" if seeds == 1 else f"simulated, mean of {seeds} seeds"
+    rows = [
+        (each.name, each.quantity, *each.shown, f"{each.error:.2g}", f"{each.deviation:.2g}")
+        for each in result.targets
+    ]
+    ratios = ("standard error / tolerance", "deviation / tolerance")
+    return PageTable(("target", "quantity", "measured", simulated, *ratios), rows)
 
 
 def _plots(result: CalibrationResult, calibration: CalibrationInput) -> list[Plot]:

@@ -17,6 +17,7 @@ from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.messages import suggestion_or_list
 from granflow.schema.model import FileName, ListOf, Model, Name, Text
 from granflow.schema.quantities import GivenQuantity, NumberWithUnit, bound_faults
+from granflow.studies.sweep_design import Repeat
 from granflow.units import ZERO_POINTS, GivenNumber, in_si, in_unit, mixed_units, unit_conflict
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]
@@ -117,6 +118,10 @@ class CalibrationInput(Model):
     parameters: dict[Text, Parameter] = Field(description="parameters by name; the default key is the name")
     targets: dict[Name, Target] = Field(description="targets by name")
     search: Search = Field(Search(), description="method, number of trials and seed")
+    repeat: Repeat = Field(
+        Repeat(seeds=1),
+        description="repetition of each trial with other seeds: the loss is that of the means",
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield faults between the parts: empty parts, unknown scenes, keys given twice."""
@@ -150,6 +155,8 @@ class CalibrationInput(Model):
                             ("parameters", name), f"sets {key}, which {seen[key]} sets too; keep one of them"
                         )
                     seen[key] = f"parameters.{name}"
+            if self.repeat.seeds > 1 and "seed" in seen:
+                yield whole(("repeat",), f"changes the seed, which {seen['seed']} sets too; keep one of them")
 
     def keys_of(self, name: str, scene: str) -> tuple[str, ...]:
         """Keys of a scene that a parameter sets."""

@@ -9,7 +9,7 @@ the median of the earlier ones is stopped early.
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, sqrt
 from pathlib import Path
@@ -33,6 +33,7 @@ from granflow.studies.run_process import (
     reason_without,
     warnings_of,
 )
+from granflow.studies.sweep_table import standard_error_of_mean
 from granflow.units import UnitError, column_factor, factor_of, split_heading
 
 # Targets with their measured values
@@ -112,12 +113,9 @@ def read_target(target: Target, folder: Path, position: str) -> Measured:
     return Measured(target, time, value)
 
 
-def residuals(measured: Measured, directory: Path) -> np.ndarray:
-    """Weighted residuals (n,) of a completed run, whose squares add up to its share of the loss.
-
-    They are nan if the run has no such number.
-    """
-    return (simulated(measured, directory) - measured.value) * measured.scale
+def residuals(measured: Measured, values: np.ndarray) -> np.ndarray:
+    """Weighted residuals (n,) of simulated values (n,), whose squares add up to their share of the loss."""
+    return np.asarray((values - measured.value) * measured.scale)
 
 
 def simulated(measured: Measured, directory: Path) -> np.ndarray:
@@ -128,15 +126,20 @@ def simulated(measured: Measured, directory: Path) -> np.ndarray:
     return np.full(len(measured.value), np.nan) if series is None else _at_times(measured, series)
 
 
-def standard_errors(measured: Measured, directory: Path) -> np.ndarray:
-    """Standard errors (n,) of the weighted residuals of a completed run.
+def standard_errors(measured: Measured, values: np.ndarray, directories: Sequence[Path]) -> np.ndarray:
+    """Standard errors (n,) of the weighted residuals of the mean over completed runs with different seeds.
 
-    They are 0 where the run gives no error of its values. The error of `angle_of_repose.left` is
-    `angle_of_repose_error.left`, that of `angle_of_repose_mean.left` is `angle_of_repose_error_mean.left`.
+    values:   (runs, n) simulated values
+    Returns:  see `standard_error_of_mean`; 0 for a single run that gives no error of its values. The error of
+              `angle_of_repose.left` is `angle_of_repose_error.left`, that of `angle_of_repose_mean.left` is
+              `angle_of_repose_error_mean.left`.
     """
     name = error_name(measured.target.quantity)
     named = replace(measured, target=measured.target.model_copy(update={"quantity": name}))
-    return np.nan_to_num(simulated(named, directory)) * measured.scale
+    errors = np.array([simulated(named, each) for each in directories])
+    known = [column[np.isfinite(column)].tolist() for column in errors.T]
+    found = [standard_error_of_mean(each.tolist(), own) for each, own in zip(values.T, known, strict=True)]
+    return np.nan_to_num(found) * measured.scale
 
 
 def partial_loss(measured: Measured, directory: Path) -> float:
@@ -217,12 +220,13 @@ def checked_scene(
     targets: Mapping[str, Measured],
     values: Mapping[str, float],
     common: RunSettings,
+    seed_offset: int = 0,
 ) -> CheckedRun:
-    """A checked run of a scene of a calibration with values of the parameters by name; raises as
-    `checked_run`."""
+    """A checked run of a scene of a calibration with values of the parameters by name, and the seed of the
+    scene plus `seed_offset`; raises as `checked_run`."""
     own = [each for each in targets.values() if each.target.scene == scene and each.time is None]
     read = {each.target.quantity: each.position for each in own}
-    return checked_run(path, settings_of(calibration, scene, values), read, common)
+    return checked_run(path, settings_of(calibration, scene, values), read, common, seed_offset)
 
 
 @dataclass(frozen=True)
@@ -262,9 +266,10 @@ class TrialRunner:
         inputs |= {f"the curve of {name} ({each.target.curve})": each.digest for name, each in curves.items()}
         self.search.refuse_changed(inputs)
 
-    def _checked(self, scene: str, values: Mapping[str, float]) -> CheckedRun:
+    def _checked(self, scene: str, values: Mapping[str, float], seed_offset: int = 0) -> CheckedRun:
         """A checked run of a scene."""
-        return checked_scene(self._calibration, scene, self.scenes[scene], self.targets, values, self.common)
+        path = self.scenes[scene]
+        return checked_scene(self._calibration, scene, path, self.targets, values, self.common, seed_offset)
 
     def _targets_of(self, scene: str) -> dict[str, Measured]:
         """The targets of a scene by name."""
@@ -288,7 +293,7 @@ class TrialRunner:
         return f"loss {loss:.4g}"
 
     def _loss(self, trial: Any) -> float:
-        """The loss of a trial.
+        """The loss of a trial, that of the means over its seeds.
 
         Residuals, simulated values and run directories become attributes of the trial.
         """
@@ -298,23 +303,30 @@ class TrialRunner:
         errors: dict[str, list[float]] = {}
         warnings: list[str] = []
         for number, scene in enumerate(self.scenes):
-            run = self._checked(scene, trial.params)
-            trial.set_user_attr(f"run.{scene}", run.directory.name)
+            runs = [
+                self._checked(scene, trial.params, offset) for offset in range(self._calibration.repeat.seeds)
+            ]
+            directories = [run.directory for run in runs]
+            trial.set_user_attr(f"run.{scene}", " ".join(each.name for each in directories))
             before = sum(float(np.sum(np.square(each))) for each in found.values())
             try:
-                self._carry_out(trial, number, run, scene, before, limit)
+                for run in runs:
+                    self._carry_out(trial, number, run, scene, before, limit)
             except Unpromising:
                 self._record(trial, found, shown, errors)
                 raise
-            warnings += [f"{scene}: {sentence}" for sentence in warnings_of(run.directory)]
+            sentences = [sentence for each in directories for sentence in warnings_of(each)]
+            warnings += [f"{scene}: {sentence}" for sentence in dict.fromkeys(sentences)]
             trial.set_user_attr("warnings", warnings)
             for name, measured in self._targets_of(scene).items():
-                values = simulated(measured, run.directory)
-                if not np.isfinite(values).all():
-                    raise TrialFailed(_missing_reason(name, measured, run.directory))
-                errors[name] = standard_errors(measured, run.directory).tolist()
-                found[name] = residuals(measured, run.directory).tolist()
-                shown[name] = shown_value(measured, values)
+                values = np.array([simulated(measured, each) for each in directories])
+                lacking = np.flatnonzero(~np.isfinite(values).all(axis=1))
+                if len(lacking):
+                    raise TrialFailed(_missing_reason(name, measured, directories[lacking[0]]))
+                mean = values.mean(axis=0)
+                errors[name] = standard_errors(measured, values, directories).tolist()
+                found[name] = residuals(measured, mean).tolist()
+                shown[name] = shown_value(measured, mean)
         self._record(trial, found, shown, errors)
         return sum(float(np.sum(np.square(each))) for each in found.values())
 
@@ -355,9 +367,10 @@ class TrialRunner:
             nonlocal checked_at, bound
             if time.monotonic() - checked_at > CHECK_INTERVAL:
                 checked_at = time.monotonic()
-                bound = before + sum(
-                    partial_loss(each, run.directory) for each in self._targets_of(scene).values()
-                )
+                if self._calibration.repeat.seeds == 1:  # one run bounds the loss of no mean
+                    bound = before + sum(
+                        partial_loss(each, run.directory) for each in self._targets_of(scene).values()
+                    )
             return bound > limit
 
         if bound <= limit:
