@@ -33,7 +33,7 @@ from granflow.plan.cost import (
     refuse_without_memory,
 )
 from granflow.plan.plan import Plan
-from granflow.runs.initial_particles import initial_state, refuse_other_particles, warnings_before
+from granflow.runs.initial_particles import initial_state, refuse_other_particles
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
@@ -469,8 +469,8 @@ def run_start(
         change = accepted_change(checkpoint, plan, allow_changes)
         names = [name_of(observer) for observer in observers]
         refuse_other_functions(checkpoint, plan.external_forces, names, allow_changes)
-    initial, earlier = initial_state(plan, given_particles, checkpoint)
-    warnings = warnings_before(plan, initial)
+    initial, earlier, of_particles = initial_state(plan, given_particles, checkpoint)
+    warnings = [*plan.warnings, *of_particles]
     if checkpoint is not None:
         warnings += filter(None, [engine_difference(checkpoint)])
     return RunStart(

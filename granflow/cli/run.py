@@ -10,8 +10,7 @@ import json
 import logging
 import os
 import shutil
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from filecmp import cmp
 from functools import partial
 from pathlib import Path
@@ -33,7 +32,7 @@ from granflow.cli.arguments import (
 )
 from granflow.cli.process import compiling_shown, deferred_to, exit_code_of, pass_stops_to, quick_start
 from granflow.errors import GranflowError
-from granflow.visible_text import VisibleFormatter, numbered, visible
+from granflow.visible_text import numbered, visible
 
 if TYPE_CHECKING:
     from granflow.io.checkpoint import Checkpoint
@@ -170,6 +169,8 @@ def run_to_end(
     say_checked(scene.path, simulation.warnings)
     simulation.warnings.extend(printed)
     try:
+        from granflow.io.log import warnings_shown
+
         with deferred_to(simulation.request_stop), warnings_shown(simulation.warnings):
             result = simulation.run(until=until, within_stages=True)
             result = simulation.close() or result
@@ -191,21 +192,6 @@ def say_of_faster_kernels(simulation: "Simulation", result: "Result") -> None:
     steps = sum(result.timings.get(phase, 0.0) for phase in ("neighbor_list", "forces", "integration"))
     if steps > LONG_RUN and simulation.engine.state.backend.on_cpu and (sentence := slower_than_quadrants()):
         say(sentence)
-
-
-@contextmanager
-def warnings_shown(shown: Collection[str]) -> Iterator[None]:
-    """In the block, print the warnings of the log to stderr, except those in `shown`."""
-    logger = logging.getLogger("granflow")
-    handler = logging.StreamHandler()
-    handler.setLevel(logging.WARNING)
-    handler.addFilter(lambda record: record.levelno == logging.WARNING and record.getMessage() not in shown)
-    handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
 
 
 def stopped_where(simulation: "Simulation", out: Path) -> str:
@@ -547,7 +533,6 @@ def check(options: argparse.Namespace) -> int:
     from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
     from granflow.plan.cost import fits, memory_warning, refuse_run_time, refuse_too_many
-    from granflow.plan.overlaps import particle_warnings
     from granflow.runs.initial_particles import checked_particles
 
     plan = plan_for(scene)
@@ -563,7 +548,7 @@ def check(options: argparse.Namespace) -> int:
             say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
         return say_checked(options.scene, found, ", but the packing of the particles was not checked")
-    found += particle_warnings(plan, checked_particles(scene))
+    found += checked_particles(plan)
     inserters(scene)
     return say_checked(options.scene, found)
 

@@ -8,7 +8,7 @@ import json
 import logging
 import platform
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -102,6 +102,35 @@ def _remove(logger: logging.Logger, handler: logging.Handler) -> None:
     logger.removeHandler(handler)
     with suppress(OSError):
         handler.close()
+
+
+def warning_handler(shown: Collection[str] = ()) -> logging.Handler:
+    """A handler that prints warnings to stderr, with the prefix of those of commands, except those in
+    `shown`; errors end a run and are reported as exceptions."""
+    handler = logging.StreamHandler()
+    handler.setLevel(logging.WARNING)
+    handler.addFilter(lambda record: record.levelno == logging.WARNING and record.getMessage() not in shown)
+    handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
+    return handler
+
+
+@contextmanager
+def warnings_shown(shown: Collection[str] = (), always: bool = True) -> Iterator[None]:
+    """In the block, print the warnings of the log to stderr, except those in `shown`.
+
+    Without `always` only if the logger has no handler: otherwise the program has decided what becomes of its
+    entries.
+    """
+    logger = logging.getLogger("granflow")
+    if not always and logger.hasHandlers():
+        yield
+        return
+    handler = warning_handler(shown)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 LOGGERS = ("granflow", "granflow.checkpoint")

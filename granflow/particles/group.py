@@ -128,6 +128,15 @@ class ParticleData:
     def __len__(self) -> int:
         return len(self.radius)
 
+    def chosen(self, rows: np.ndarray) -> "ParticleData":
+        """The particles of some rows, given as indices or as a mask (n,)."""
+        names = [name for name in self.__dataclass_fields__ if name not in ("orientation", "initial_values")]
+        return ParticleData(
+            **{name: getattr(self, name)[rows] for name in names},
+            orientation=None if self.orientation is None else self.orientation[rows],
+            initial_values={name: each[rows] for name, each in self.initial_values.items()},
+        )
+
     @classmethod
     def joined(cls, parts: Sequence["ParticleData"]) -> "ParticleData":
         """Concatenation of all parts in order; no particles without parts."""

@@ -6,7 +6,7 @@ per second, at random free positions in a region.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -103,6 +103,9 @@ or its time are over, and the time of the next batch [s]."""
 ATTEMPTS = (8, 56)
 """Positions tried for a particle: in the first round, and in the second round after a failure of the
 first."""
+IsClear = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Function of centers (n, 3) [m] and radii (n,) [m] of spheres that returns whether each (n,) is outside of
+walls."""
 
 
 class Inserter:
@@ -113,8 +116,8 @@ class Inserter:
         t_k = start + (m_0 + ... + m_(k-1)) / mass_flow
 
     Due particles are inserted in batches. A particle without a free position is queued and has priority in
-    the next batch. Walls are not considered. The positions depend on the seed of the scene, the number of the
-    batch, and the existing particles.
+    the next batch. Positions inside walls are not used. The positions depend on the seed of the scene, the
+    number of the batch, the existing particles, and walls in the region.
 
     With `stages`, start is that of the first of them (`begin_stage`), and infinite before. After the last of
     them, or after `end`, nothing is inserted, queued particles included.
@@ -203,12 +206,19 @@ class Inserter:
         is_inserted[self.queued] = False
         return is_inserted
 
-    def insert_due(self, time: float, position: np.ndarray, radius: np.ndarray) -> ParticleData:
+    def insert_due(
+        self,
+        time: float,
+        position: np.ndarray,
+        radius: np.ndarray,
+        is_clear: IsClear = lambda centers, radii: np.ones(len(radii), dtype=bool),
+    ) -> ParticleData:
         """Particles inserted at `time` [s], without overlap with existing ones or each other.
 
         `position` (m, 3) [m], `radius` (m,) [m]: existing particles, whose periodic images are considered
-        too. Particles without a free position are added to `queued`; at most MAX_RETRIED_BATCHES batches of
-        queued particles are tried. Changes `queued`, `due_count`, `batch_count` and `next_time`.
+        too. `is_clear`: whether spheres are outside of walls. Particles without a free position are added to
+        `queued`; at most MAX_RETRIED_BATCHES batches of queued particles are tried. Changes `queued`,
+        `due_count`, `batch_count` and `next_time`.
         """
         due = int(np.searchsorted(self.due_at, time + DUE_TOLERANCE * self.interval, side="right"))
         arriving = np.arange(self.due_count, due)
@@ -219,7 +229,7 @@ class Inserter:
         existing = (np.asarray(position, dtype=np.float64), np.asarray(radius, dtype=np.float64))
         obstacles = Spheres(*periodic_box.with_images(*existing))
         random = np.random.default_rng([*self.group.seeds, self.batch_count])
-        positions = self.find_positions(candidates, obstacles.near(self.region), random)
+        positions = self.find_positions(candidates, obstacles.near(self.region), random, is_clear)
         inserted = np.array(list(positions), dtype=np.int64)
         self.queued = queue[~np.isin(queue, inserted)]
         centers = np.array([positions[k] for k in inserted]).reshape(-1, 3)
@@ -245,7 +255,7 @@ class Inserter:
         return float(self.due_at[last])
 
     def find_positions(
-        self, candidates: np.ndarray, obstacles: Spheres, random: np.random.Generator
+        self, candidates: np.ndarray, obstacles: Spheres, random: np.random.Generator, is_clear: IsClear
     ) -> dict[int, np.ndarray]:
         """Free centers (3,) [m] found for `candidates`, by particle number, in the order tried.
 
@@ -259,6 +269,7 @@ class Inserter:
             repeated_radii = np.repeat(self.radius[unplaced], attempts)
             proposed = self.region.sample(repeated_radii, random)
             free = ~overlaps_any(proposed, repeated_radii, obstacles.position, obstacles.radius)
+            free &= is_clear(proposed, repeated_radii)
             for row, k in enumerate(unplaced):
                 own = slice(row * attempts, (row + 1) * attempts)
                 self.place_first_clear(int(k), proposed[own][free[own]], positions)

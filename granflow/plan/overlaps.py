@@ -9,7 +9,7 @@ The second part finds overlaps where particles start: of particles with each oth
 insertion regions with walls. A run with such an overlap would stop in its first step.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -776,6 +776,9 @@ def _name(scene: Scene, particles: ParticleData, index: int, shift: np.ndarray) 
 
 SAMPLES = 2000
 """Number of random positions at which a region is compared with the walls."""
+MOST_INSIDE = 0.9
+"""Share of the positions inside a wall above which a warning appears: an inserter tries 64 for a particle,
+and 0.9^64 = 0.1 % of the particles find none."""
 
 
 def region_of(group: Group) -> RegionSampler | None:
@@ -785,32 +788,78 @@ def region_of(group: Group) -> RegionSampler | None:
 
 
 def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Key and rest of the sentence for each region and wall where particles would be inserted with overlaps
-    above the limit."""
+    """Key and rest of the sentence for each region of an insertion during the run and each wall that leaves
+    few positions in it at its start.
+
+    Positions inside walls are not used (`Inserter`); those of lattices and packings are left out one by one
+    (`without_overlaps_of_walls`).
+    """
     for name, group in plan.scene.particles.items():
         region = region_of(group)
         radius = 0.5 * group.outer_diameters[0]
         # Particles that do not fit into the region are reported when they are generated.
-        if region is None or group.fixed or radius > region.radius_max:
+        if region is None or group.insert.order is not None or radius > region.radius_max:
             continue
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
         bodies = group.shape.placed_spheres(points, np.full(SAMPLES, radius), None)
         start = getattr(group.insert, "start", 0.0)
         for wall, overlap in _overlaps(plan.walls, name, bodies, start, times):
             share = float(np.mean(overlap > plan.scene.numerics.intended_overlap))
-            if share > 0.0:
+            if share > MOST_INSIDE:
                 yield (
                     ("particles", name, "insert"),
                     f": {100 * share:.3g} % of the positions in the region are inside or behind "
-                    f"walls.{wall.name}, and particles there stop the run. Choose a region that does not "
+                    f"walls.{wall.name}, where no particle is inserted. Choose a region that does not "
                     "intersect the wall.",
                 )
+
+
+def without_overlaps_of_walls(
+    plan: Plan, particles: ParticleData, given: Container[str] = ()
+) -> tuple[ParticleData, list[str]]:
+    """The initial particles without those of lattices and packings that overlap walls by more than the limit,
+    and a sentence for each group and wall.
+
+    given:   groups whose particles come from an earlier run or a program, which remain complete
+    Raises:  SceneError if no particle of a group remains
+    """
+    scene = plan.scene
+    times = nominal_times(plan.stages)
+    remains = np.ones(len(particles), dtype=bool)
+    sentences, problems = list[str](), list[str]()
+    placed = _placed_groups(scene, particles)
+    for (name, group), (own, *bodies) in zip(scene.particles.items(), placed, strict=True):
+        if group.fixed or name in given or not len(own) or region_of(group) is None:
+            continue
+        count = len(own)
+        for wall, overlap in _overlaps(plan.walls, name, (bodies[0], bodies[1]), 0.0, times):
+            inside = own[overlap > scene.numerics.intended_overlap]
+            left_out = int(remains[inside].sum())
+            remains[inside] = False
+            left = int(remains[own].sum())
+            place = f"particles.{name} ({scene.where('particles', name)})"
+            if not left:
+                problems.append(
+                    f"{scene.locate('particles', name, 'insert')}: particles.{name} has no particle left, "
+                    f"because all are inside or behind walls.{wall.name} or others. Choose a region that "
+                    "does not intersect them."
+                )
+                break
+            if left_out:
+                sentences.append(
+                    f"{place}: {left_out} of {count} particles are left out because they overlap "
+                    f"walls.{wall.name} at the start; {left} remain. For the full number, multiply its count "
+                    f"or mass by {count / left:.3g}, or choose a region without the wall."
+                )
+    if problems:
+        raise SceneError(problems)
+    return (particles if remains.all() else particles.chosen(remains)), sentences
 
 
 def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
     """A sentence for each group and wall whose initial particles overlap the wall by more than the limit.
 
-    Groups in regions are compared with walls by `region_findings`.
+    Particles of groups in regions that overlap walls are left out, see `without_overlaps_of_walls`.
     """
     scene = plan.scene
     times = nominal_times(plan.stages)

@@ -14,15 +14,16 @@ from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
 from granflow.particles.group import ParticleData, SceneGroup, groups_of
 from granflow.particles.insertion import initial_particles
-from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps
+from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps, without_overlaps_of_walls
 from granflow.plan.plan import Plan
 from granflow.scene.blocks.particle_shapes.shape import ParticleShape
 
 
 def initial_state(
     plan: Plan, given: ParticleData | None, resumed: Checkpoint | None
-) -> tuple[ParticleData | None, list[str]]:
-    """The particles at the start, and the names of the groups whose particles do not come from the scene.
+) -> tuple[ParticleData | None, list[str], list[str]]:
+    """The particles at the start, the names of the groups whose particles do not come from the scene, and
+    warnings about particles inside walls.
 
     given:    particles that replace those of the scene, or None
     resumed:  checkpoint from which a run continues; there are then no particles to insert
@@ -31,21 +32,14 @@ def initial_state(
     if resumed is not None:
         if given is not None:
             raise GranflowError("A resumed run has the particles of its checkpoint: leave particles out.")
-        return None, list(resumed.saved["earlier"])
+        return None, list(resumed.saved["earlier"]), []
     if given is not None:
         refuse_other_particles(plan, given)
-        return given, [group.name for number, group in enumerate(plan.groups) if number in given.group]
+        names = [group.name for number, group in enumerate(plan.groups) if number in given.group]
+        return given, names, list(particle_warnings(plan, given))
     earlier = particles_from_run(plan.scene)
-    return initial_particles(plan.scene, earlier), list(earlier)
-
-
-def warnings_before(plan: Plan, initial: ParticleData | None) -> list[str]:
-    """The warnings of the plan, and those about initial particles inside walls.
-
-    `initial`: None for a resumed run.
-    """
-    inside = [] if initial is None else particle_warnings(plan, initial)
-    return [*plan.warnings, *inside]
+    particles, left_out = without_overlaps_of_walls(plan, initial_particles(plan.scene, earlier), earlier)
+    return particles, list(earlier), [*left_out, *particle_warnings(plan, particles)]
 
 
 def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
@@ -178,15 +172,16 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     return found
 
 
-def checked_particles(scene: Scene) -> ParticleData:
-    """The particles of a scene at its start.
+def checked_particles(plan: Plan) -> list[str]:
+    """Warnings about the particles of a scene at its start.
 
     Raises SceneError if they overlap by more than `numerics.max_overlap` or do not fit in their regions, and
     as `particles_from_run`.
     """
-    particles = initial_particles(scene, particles_from_run(scene))
-    refuse_initial_overlaps(scene, particles)
-    return particles
+    particles, _, warnings = initial_state(plan, None, None)
+    assert particles is not None
+    refuse_initial_overlaps(plan.scene, particles)
+    return warnings
 
 
 WIDTH_TOLERANCE = 0.01

@@ -9,8 +9,29 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.engine import Engine
+from granflow.engine.totals import wall_poses
 from granflow.load import Scene
-from granflow.particles.insertion import inserters
+from granflow.particles.insertion import IsClear, inserters
+
+
+def _clear_of_walls(engine: Engine, group: str) -> IsClear:
+    """The function that says which spheres of a group are outside of the walls at their present positions, up
+    to the overlap that is not reported."""
+    plan = engine.plan
+    walls = [each for each in plan.walls if each.spec.holds(group)]
+    poses = wall_poses(engine.state) if walls else {}
+    limit = plan.scene.numerics.intended_overlap
+
+    def is_clear(centers: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        clear = np.ones(len(radius), dtype=bool)
+        for wall in walls:
+            pose = poses[wall.name]
+            if pose.present and len(radius):
+                local = (centers - pose.pivot - pose.offset) @ pose.rotation + pose.pivot
+                clear &= 1.0 - wall.surface.distances(local, float(radius.max())) / radius <= limit
+        return clear
+
+    return is_clear
 
 
 class ParticleInsertion:
@@ -47,14 +68,18 @@ class ParticleInsertion:
         """Insert the particles that are due; return whether any were inserted.
 
         The inserters receive the positions (n, 3) [m] and radii (n,) [m] of the present particles, which new
-        particles must not overlap. The number of queued particles in the accounting is updated.
+        particles must not overlap; they avoid walls at their present positions as well. The number of queued
+        particles in the accounting is updated.
         """
         inserted = False
         for inserter in self._inserters:
             if engine.reached(inserter.next_time):
                 existing = engine.copied(("position", "radius"))
                 new = inserter.insert_due(
-                    engine.time + 0.5 * engine.time_step, existing["position"], existing["radius"]
+                    engine.time + 0.5 * engine.time_step,
+                    existing["position"],
+                    existing["radius"],
+                    _clear_of_walls(engine, inserter.group_name),
                 )
                 engine.insert(new)
                 inserted = inserted or len(new) > 0

@@ -1,6 +1,7 @@
 """The files of a run in parts: opened at the first step, closed at the end or by an exception."""
 
 import atexit
+import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -8,12 +9,15 @@ from contextlib import ExitStack, contextmanager, suppress
 
 from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint
+from granflow.io.log import warnings_shown
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import log_plan
 from granflow.snapshot import TOTALS
 from granflow.visible_text import visible_line
+
+LOGGER = logging.getLogger("granflow")
 
 
 class RunSession:
@@ -52,9 +56,16 @@ class RunSession:
             self._open_files()
             self._is_running = True
             try:
-                with self._files.recording(), self._state.wall_clock.running():
+                with (
+                    warnings_shown(always=False),
+                    self._files.recording(),
+                    self._state.wall_clock.running(),
+                ):
                     if is_first and self._files.path is not None:
-                        log_plan(self._state.plan, self._loop.engine, self._resumed, self._warnings())
+                        log_plan(self._state.plan, self._loop.engine, self._resumed)
+                    if is_first and not self._has_ended:
+                        for sentence in self._warnings():
+                            LOGGER.warning("%s", sentence)
                     yield
             finally:
                 self._is_running = False

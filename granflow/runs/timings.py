@@ -2,7 +2,7 @@
 
 import logging
 import time as clock
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
@@ -118,8 +118,8 @@ def collect_result(
     )
 
 
-def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None, warnings: Iterable[str]) -> None:
-    """Write versions, device, plan with reasons, and the `warnings` before the run to the log.
+def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
+    """Write versions, device and plan with reasons to the log.
 
     `resumed`: checkpoint from which the run continues, or None.
     """
@@ -143,7 +143,5 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None, warnings: I
     )
     for line in session.explanation.splitlines():
         log.info("%s", line)
-    for warning in warnings:
-        log.warning("%s", warning)
     if resumed is not None:
         log.info("resumed from %s at %.6g s", resumed.path, engine.time)

@@ -97,7 +97,7 @@ def checked_run(
         raise FileError(problems)
     plan = plan_for(scene)
     if scene.start_from is None and any(group.insert.has_rows for group in scene.particles.values()):
-        checked_particles(scene)
+        checked_particles(plan)
     inputs = RunInputs.of(scene)
     directory = (common.runs / run_identity(scene, common.arch)).resolve()
     request = RunRequest(

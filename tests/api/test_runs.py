@@ -1,10 +1,15 @@
 """Runs in parts: steps, times, durations, and the files of a simulation in a with block."""
 
 import csv
+import io
+import logging
+from contextlib import redirect_stderr
 
 import numpy as np
 import pytest
 from api.scenes import beads
+from scene_builders import build_scene, plane
+from subprocess_runner import each_in_subprocess
 
 import granflow as gf
 
@@ -171,3 +176,57 @@ def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(taichi_f64,
         contents[name]
     assert str(error.value).startswith(message)
     assert contents.get(name) is None and name not in contents
+
+
+def test_rain_avoids_a_wall_where_it_is_at_the_time(taichi_f64):
+    """A plate moves down from z = 8 mm with 1 m/s and is at 3 mm when particles of radius 1 mm appear within
+    40 us; their centers are at least 0.9 mm from it, and 0.04 mm less than that after it has moved on."""
+    region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.02, 0.02, 0.01]}}
+    rain = {"kind": "rain", "rate": 1e6, "start": 5e-3, "region": region}
+    plate = {
+        "shape": "rectangle", "corner": [0, 0, 8e-3], "sides": [[0.02, 0, 0], [0, 0.02, 0]], "material": "glass",
+        "motion": {"kind": "translation", "velocity": [0, 0, -1.0]},
+    }  # fmt: skip
+    group = {"material": "glass", "count": 40, "diameter": 2e-3, "insert": rain}
+    run = {"duration": 5.045e-3, "velocity_max": 1.0}
+    with gf.Simulation(build_scene({"beads": group}, {"plate": plate}, run=run)) as simulation:
+        simulation.run()
+        height = simulation.particles.position[:, 2]
+        at = simulation.walls["plate"].pose.offset[2] + 8e-3
+    assert len(height) == 40 and at == pytest.approx(3e-3, abs=0.05e-3)
+    assert abs(height - at).min() >= 0.85e-3
+    assert abs(height - 8e-3).min() < 0.9e-3
+
+
+def stderr_of_runs(out, configures_logging):
+    """What programs with a scene that has a warning print to stderr, without and with a directory."""
+    found = []
+    region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.02, 0.02, 0.02]}}
+    group = {"material": "glass", "count": 20, "diameter": 4e-3, "insert": {"kind": "pack", "region": region}}
+    floor = plane([0.0, 0.0, 5e-3], [0.0, 0.0, 1.0])
+    scene = build_scene({"balls": group}, {"floor": floor}, run={"duration": 1e-4})
+    for folder in (None, out):
+        with redirect_stderr(io.StringIO()) as printed:
+            if configures_logging:
+                logging.basicConfig(format="program: %(message)s", force=True)
+            with gf.Simulation(scene, out=folder, overwrite=True) as simulation:
+                for _ in range(2):
+                    simulation.step()
+                simulation.run()
+                assert len(simulation.warnings) == 1
+        found.append(printed.getvalue())
+    return found
+
+
+def test_programs_show_the_warnings_of_a_scene_once(tmp_path):
+    """With the prefix of commands, or as the program has configured logging."""
+    calls = [(str(tmp_path), configures_logging) for configures_logging in (False, True)]
+    for prefix, printed in zip(
+        ("granflow: warning", "program"), each_in_subprocess(stderr_of_runs, calls), strict=True
+    ):
+        for lines in printed:
+            (line,) = lines.splitlines()
+            assert (
+                line.startswith(f"{prefix}: particles.balls")
+                and "are left out because they overlap walls.floor" in line
+            )

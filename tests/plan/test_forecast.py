@@ -24,6 +24,7 @@ from granflow.plan.overlaps import (
     touching_pairs,
 )
 from granflow.plan.walls import surface_speed
+from granflow.runs.initial_particles import initial_state
 
 SCENES = list(scene_paths().values())
 RUBBER = {"rubber": {"young_modulus": 5e6, "poisson_ratio": 0.48, "density": 1100.0}}
@@ -285,14 +286,46 @@ def test_translation_that_turns_with_the_rotation_before_it_is_reported_with_tim
     assert carried == pytest.approx(0.09, rel=0.02) and "Check the point" not in sentence
 
 
-def test_region_that_a_wall_cuts_is_reported_with_the_share_of_positions(tmp_path):
-    """Centers of spheres of 4 mm are between z = 2 and 8 mm; with a plate at z = 5 mm, those between 3.2 and
-    6.8 mm overlap it by more than 0.1 R: 60 % of the positions.
+PLATE = "{shape: rectangle, corner: [0, 0, 5 mm], sides: [[2 cm, 0, 0], [0, 2 cm, 0]], material: glass}"
+
+
+def test_particles_of_a_packing_that_overlap_a_wall_are_left_out(tmp_path):
+    """Centers of spheres of radius 2 mm overlap a plate at z = 5 mm by more than the limit 0.1 R if they are
+    less than 1.8 mm from it; the others remain as they are without the plate.
     """
-    plate = "{shape: rectangle, corner: [0, 0, 5 mm], sides: [[2 cm, 0, 0], [0, 2 cm, 0]], material: glass}"
-    (warning,) = warnings_of(scene_of(tmp_path, f"walls.plate={plate}"))
-    assert re.search(r"(60|59) % of the positions in the region are inside or behind walls.plate", warning)
-    assert warnings_of(scene_of(tmp_path, f"walls.plate={plate.replace('5 mm', '10 mm')}")) == []
+    packing = "particles.beads.insert.kind=pack"
+    all_of_them = initial_particles(scene_of(tmp_path, packing)).position
+    plan = plan_for(scene_of(tmp_path, packing, f"walls.plate={PLATE}"))
+    particles, _, warnings = initial_state(plan, None, None)
+    expected = all_of_them[abs(all_of_them[:, 2] - 5e-3) >= 1.8e-3]
+    assert 0 < len(expected) < 10 and (particles.position == expected).all()
+    assert len(warnings) == 1 and plan.warnings == ()
+    assert (
+        f"{10 - len(expected)} of 10 particles are left out because they overlap walls.plate at the start; "
+        f"{len(expected)} remain. For the full number, multiply its count or mass by "
+        f"{10 / len(expected):.3g}," in warnings[0]
+    )
+    higher = plan_for(scene_of(tmp_path, packing, f"walls.plate={PLATE.replace('5 mm', '10 mm')}"))
+    particles, _, warnings = initial_state(higher, None, None)
+    assert len(particles) == 10 and warnings == []
+
+
+def test_packing_behind_a_wall_is_refused(tmp_path):
+    plan = plan_for(scene_of(tmp_path, "walls.floor.point=[0, 0, 11 mm]"))
+    with pytest.raises(
+        SceneError, match="has no particle left, because all are inside or behind walls.floor"
+    ):
+        initial_state(plan, None, None)
+
+
+@pytest.mark.parametrize(("height", "share"), [(4, None), (6, 96.7)])
+def test_rain_that_a_wall_leaves_few_positions_is_reported(tmp_path, height, share):
+    """Centers are between z = 2 and 8 mm; a floor at height h [mm] takes those below h + 1.8 mm: 63 or 97 %."""
+    rain = "{kind: rain, rate: 100, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}"
+    floor = f"walls.floor.point=[0, 0, {height} mm]"
+    found = warnings_of(scene_of(tmp_path, f"particles.beads.insert={rain}", floor))
+    shares = [float(each[1]) for text in found if (each := re.search(r"([0-9.]+) % of the positions", text))]
+    assert shares == ([] if share is None else [pytest.approx(share, abs=1.0)])
 
 
 def test_initial_particles_inside_walls_are_reported():

@@ -1,6 +1,5 @@
 """Groups of clumps: counts and masses, orientations, messages about invalid combinations, `explain`."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
 from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps
+from granflow.runs.initial_particles import initial_state
 
 REGION = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}
 
@@ -162,11 +162,10 @@ def test_sphere_that_overlaps_a_sphere_of_a_clump_is_refused():
 
 
 def floored(group, height):
-    """Warnings about clumps inside a floor at a height [m]: for positions, and for a region."""
+    """Warnings about clumps inside a floor at a height [m]."""
     scene = build_scene({"rods": group}, walls={"floor": plane([0.0, 0.0, height], [0.0, 0.0, 1.0])})
     plan = plan_for(scene)
-    region = [each for each in plan.warnings if "of the positions in the region" in each]
-    return [*region, *particle_warnings(plan, initial_particles(scene))]
+    return list(particle_warnings(plan, initial_particles(scene)))
 
 
 def test_only_rods_whose_spheres_are_inside_a_wall_are_reported():
@@ -190,18 +189,20 @@ def test_only_rods_whose_spheres_are_inside_a_wall_are_reported():
     assert "1 of 2 particles" in floored(both, 0.0)[0]
 
 
-@pytest.mark.parametrize(("degrees", "share"), [(0.0, 0.0), (90.0, 0.28)])
-def test_share_of_positions_inside_a_wall_refers_to_the_spheres_of_clumps(degrees, share):
-    """Centers of rods are 5 to 15 mm above the bottom of the region, 2 to 12 mm above the floor.
+@pytest.mark.parametrize(("degrees", "clearance"), [(0.0, 1.8e-3), (90.0, 4.8e-3)])
+def test_rods_whose_spheres_overlap_a_wall_are_left_out(degrees, clearance):
+    """Centers of rods are at z = 5 to 15 mm, and the floor at 3 mm.
 
-    Overlaps above 0.1 R start at 1.8 mm: none of the lying rods, and the standing ones up to 3 + 1.8 mm, 28
-    %.
+    Overlaps above 0.1 R start at 1.8 mm: none of the lying rods, and the standing ones up to 3 + 1.8 mm.
     """
     group = clump_group([[0.0, 0.0, 0.0]], orientation=about([0, 1, 0], degrees)) | {"count": 3}
     region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.04, 0.04, 0.02]}}
-    found = floored(group | {"insert": {"kind": "pack", "region": region}}, 3e-3)
-    assert len(found) == (share > 0.0)
-    if found:
-        assert float(re.search(r"([0-9.]+) % of the positions", found[0])[1]) == pytest.approx(
-            100.0 * share, abs=3.0
-        )
+    rods = group | {"count": 12, "insert": {"kind": "pack", "region": region}}
+    scene = build_scene({"rods": rods}, walls={"floor": plane([0.0, 0.0, 3e-3], [0.0, 0.0, 1.0])})
+    height = initial_particles(scene).position[:, 2]
+    remaining, _, warnings = initial_state(plan_for(scene), None, None)
+    assert (remaining.position[:, 2] == height[height >= 3e-3 + clearance]).all()
+    assert len(remaining) == len(remaining.orientation)
+    left_out = 12 - len(remaining)
+    assert (left_out > 0) == (degrees > 0.0) == (len(warnings) > 0)
+    assert not warnings or f"{left_out} of 12 particles are left out" in warnings[0]
