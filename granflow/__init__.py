@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from granflow.scene.blocks.metrics import ReposeMetric as ReposeMetric
     from granflow.scene.blocks.metrics import SegregationMetric as SegregationMetric
     from granflow.scene.blocks.metrics import SlidingMetric as SlidingMetric
+    from granflow.scene.blocks.metrics import SolidFractionMetric as SolidFractionMetric
     from granflow.scene.blocks.metrics import StressMetric as StressMetric
     from granflow.scene.blocks.motions import FreeWall as FreeWall
     from granflow.scene.blocks.motions import Oscillation as Oscillation
@@ -218,6 +219,7 @@ _LOCATIONS = {
     "SizeClass": "granflow.scene.blocks.sizes.SizeClass",
     "SlidingMetric": "granflow.scene.blocks.metrics.SlidingMetric",
     "Snapshot": "granflow.snapshot.Snapshot",
+    "SolidFractionMetric": "granflow.scene.blocks.metrics.SolidFractionMetric",
     "Sphere": "granflow.scene.blocks.walls.sphere.Sphere",
     "Stage": "granflow.scene.blocks.run.Stage",
     "StageCondition": "granflow.scene.blocks.run.StageCondition",

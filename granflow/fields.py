@@ -855,7 +855,8 @@ FLOW_METER_QUANTITIES = by_name(
             "mass_flow_error",
             "",
             "kg/s",
-            "standard error of the steady mean from the fluctuation of the flow in time, in the result",
+            "standard error of the steady mean from the fluctuation of the flow in time, or from the number "
+            "of few particles, in the result",
         ),
         Quantity(
             "residence_time",
@@ -865,6 +866,15 @@ FLOW_METER_QUANTITIES = by_name(
             "row in the time series, of all in the result",
         ),
         Quantity("residence_time_deviation", "", "s", "standard deviation of these times, in the result"),
+        Quantity("mass_flow_mean", "", "kg/s", "mean mass flow rate over the last stage, in the result"),
+        Quantity("mass_flow_error_mean", "", "kg/s", "standard error of this mean, in the result"),
+        Quantity(
+            "residence_time_mean",
+            "",
+            "s",
+            "mean time from insertion to passage of the particles that passed forward in the last stage, in "
+            "the result",
+        ),
     )
 )
 """Numbers of each flow meter."""
@@ -880,9 +890,14 @@ RESIDENCE_QUANTITIES = by_name(
             "number of ideal mixed tanks in series: mean squared over variance",
         ),
         Quantity("residing_count", "", "1", "particles that have entered and not left"),
+        Quantity("residing_mass", "", "kg", "mass of these particles, the hold-up"),
+        Quantity("residing_count_mean", "", "1", "mean of residing_count over the rows of the last stage"),
+        Quantity("residing_mass_mean", "", "kg", "mean of the hold-up over the rows of the last stage"),
     )
 )
 """Numbers of `output.residence_time`, in the result; the part is the flow meter at its end."""
+HOLD_UP = ("residing_count", "residing_mass")
+"""Those of RESIDENCE_QUANTITIES that the time series has as columns."""
 OUTLET_QUANTITIES = by_name(
     (
         Quantity("outlet_count", "", "1", "particles deleted by the outlet since the start"),

@@ -32,6 +32,7 @@ from granflow.geometry.sphere import sphere_inertia
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 from granflow.plan.sum_units import LOSS_PLASTIC, LOSSES, terms_ahead
+from granflow.scene.blocks.insertions import TimedInsertion
 from granflow.scene.blocks.motions import poses_at
 from granflow.scene.blocks.outlets import outlet_of
 from granflow.snapshot import WallPose
@@ -229,9 +230,28 @@ def totals_of(
     totals |= {**sums.contents, **accounting.contents, **wall_flow_totals(state)}
     for name, (outlet_count, outlet_mass) in accounting.outlets.items():
         totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
+    totals |= _inserted_counts(plan, accounting)
     if plan.features.energy_budget:
         totals |= energy_budget_totals(state, accounting, energies, measured)
     return totals | controlled_totals(state)
+
+
+def _inserted_counts(plan: Plan, accounting: Accounting) -> dict[str, float]:
+    """Number of particles so far of each group that enters during the run; a clump is one particle."""
+    timed = [
+        (number, group)
+        for number, group in enumerate(plan.groups)
+        if isinstance(group.spec.insert, TimedInsertion)
+    ]
+    if not timed:
+        return {}
+    spheres = np.bincount(
+        accounting.by_id("group", np.arange(accounting.inserted_count)), minlength=len(plan.groups)
+    )
+    return {
+        f"inserted_count.{group.name}": float(spheres[number] // group.spec.shape.sphere_count)
+        for number, group in timed
+    }
 
 
 LARGEST_ERROR = 5e-3

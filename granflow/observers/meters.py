@@ -88,7 +88,9 @@ class FlowCount:
 
     One count per flow meter, and one more for each material or group if the meter has `group_by`. `passed`
     and `passed_before`: sums over the particles that passed forward, now and at the previous sample: their
-    number, their residence times [s] and the squares of these [s2].
+    number, their residence times [s] and the squares of these [s2]. `crossings`: number of the passages in
+    both directions, and the sum of their squared masses [kg2]. `begins`: for each stage (stages, 6) the index
+    in the history of the last sample before it, and `crossings` and `passed` there.
     """
 
     def __init__(self) -> None:
@@ -97,6 +99,8 @@ class FlowCount:
         self.history: list[tuple[float, str, float]] = []
         self.passed = np.zeros(3)
         self.passed_before = self.passed
+        self.crossings = np.zeros(2)
+        self.begins = np.zeros((0, 6))
 
     def add(self, passages: "Passages") -> None:
         """Count passages; the residence times are those of the forward ones."""
@@ -104,14 +108,18 @@ class FlowCount:
         self.count += int(passages.direction.sum())
         forward = (passages.time - passages.insertion_time)[passages.direction > 0]
         self.passed = self.passed + [len(forward), forward.sum(), (forward**2).sum()]
+        self.crossings = self.crossings + [len(passages.mass), (passages.mass.astype(float) ** 2).sum()]
 
-    def begin_sample(self, replaces_last: bool) -> None:
+    def begin_sample(self, stage: str, replaces_last: bool) -> None:
         """Begin a sample after the last one, or in its place: residence times are those since the sample
         before."""
         if replaces_last:
             self.history.pop()
         else:
             self.passed_before = self.passed
+            if not self.history or self.history[-1][1] != stage:
+                begin = [max(len(self.history) - 1, 0), *self.crossings, *self.passed]
+                self.begins = np.vstack([self.begins, begin])
 
     def end_sample(self, time: float, stage: str) -> None:
         """Add a sample of the mass, at `time` [s], to the history."""
@@ -132,14 +140,72 @@ class FlowCount:
 
     def result(self) -> dict[str, float]:
         """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`,
-        and its `mass_flow_error` [kg/s] from `steady_flow_error`.
+        and its `mass_flow_error` [kg/s] from `steady_flow_error`, or from `_counting_error` if few particles
+        or rows do not resolve the fluctuation.
 
-        `residence_time` and `residence_time_deviation` [s]: of all particles that passed forward, NaN without
-        any.
+        `mass_flow_mean`, `mass_flow_error_mean` [kg/s]: mean over the last stage, and its standard error in
+        the same way. `residence_time` and `residence_time_deviation` [s]: of all particles that passed
+        forward, `residence_time_mean` [s]: of those in the last stage; NaN without any.
         """
         mean, deviation = _mean_and_deviation(self.passed)
-        flow = {"mass_flow": steady_flow(self.history), "mass_flow_error": steady_flow_error(self.history)}
-        return self._amounts() | flow | {"residence_time": mean, "residence_time_deviation": deviation}
+        of_stage, _ = _mean_and_deviation(self.passed - (self.begins[-1, 3:] if len(self.begins) else 0.0))
+        flow, error = steady_flow(self.history), steady_flow_error(self.history)
+        crossings, mass = self._steady_crossings()
+        if crossings[0] < FEWEST_PASSAGES or error != error:
+            error = abs(flow) * sqrt(2.0) * _counting_error(crossings, mass)
+        return {
+            **self._amounts(),
+            "mass_flow": flow if crossings[0] >= FEWEST_OF_STEADY or not crossings[0] else nan,
+            "mass_flow_error": error,
+            **self._mean_flow(),
+            "residence_time": mean,
+            "residence_time_deviation": deviation,
+            "residence_time_mean": of_stage,
+        }
+
+    def _mean_flow(self) -> dict[str, float]:
+        """The mean mass flow [kg/s] over the last stage and its standard error; NaN if it has no duration."""
+        found = {"mass_flow_mean": nan, "mass_flow_error_mean": nan}
+        if not len(self.begins):
+            return found
+        rows = self.history[int(self.begins[-1, 0]) :]
+        (begin, _, mass_before), (end, _, mass) = rows[0], rows[-1]
+        if end <= begin:
+            return found
+        crossings = self.crossings - self.begins[-1, 1:3]
+        flow = (mass - mass_before) / (end - begin)
+        time, masses = (np.array([row[k] for row in rows]) for k in (0, 2))
+        error = _block_error(begin, end, time, masses)
+        if crossings[0] < FEWEST_PASSAGES or error != error:
+            error = _counting_error(crossings, 1.0) / (end - begin)
+        return {"mass_flow_mean": flow, "mass_flow_error_mean": error}
+
+    def _steady_crossings(self) -> tuple[np.ndarray, float]:
+        """`crossings` in the last stage with flow, and its net mass [kg]; zeros without flow."""
+        now = [len(self.history) - 1, *self.crossings]
+        edges = np.vstack([self.begins[:, :3], now])
+        for begin, end in reversed(list(pairwise(edges))):
+            mass = self.history[int(end[0])][2] - self.history[int(begin[0])][2]
+            if mass != 0.0:
+                return end[1:] - begin[1:], mass
+        return np.zeros(2), 0.0
+
+    @property
+    def remark(self) -> str:
+        """A sentence on a steady mean of few passages; empty with more, or without any."""
+        (count, squares), mass = self._steady_crossings()
+        if not 0 < count < FEWEST_PASSAGES:
+            return ""
+        found = self.result()
+        error = sqrt(2.0) * _counting_error(np.array([count, squares]), mass)
+        passages = f"{count:.0f} passage{'s' if count > 1 else ''}"
+        state = "NaN" if found["mass_flow"] != found["mass_flow"] else "uncertain"
+        return (
+            f"mass_flow is {state}: the last stage with flow has {passages}, and the standard error of the "
+            f"flow of its middle half, for independent passages, is {100.0 * error:.2g} % (below "
+            f"{100.0 * sqrt(2.0 / FEWEST_PASSAGES):.2g} % from {FEWEST_PASSAGES} passages on). Simulate "
+            "longer, or read mass_flow_mean, the mean over the last stage"
+        )
 
     def _amounts(self) -> dict[str, float]:
         return {"flow_mass": self.mass, "flow_count": self.count}
@@ -154,6 +220,8 @@ class FlowCount:
         self.count = saved["count"]
         self.passed = saved["passed"]
         self.passed_before = saved["passed_before"]
+        self.crossings = saved["crossings"]
+        self.begins = saved["begins"]
         self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
 
 
@@ -263,7 +331,7 @@ class FlowCounter:
         """
         now = self._sample(snapshot)
         for flow_count in self.flow_counts().values():
-            flow_count.begin_sample(replaces_last)
+            flow_count.begin_sample(snapshot.stage, replaces_last)
         self.passages = None
         if self._last is not None:
             self.passages = joined([self._crossed(self._last, now), self._deleted(self._last, now)])
@@ -414,10 +482,35 @@ def steady_flow_error(history: Sequence[tuple[float, str, float]]) -> float:
     0.0
     """
     window = _steady_window(history)
-    if window is None or len(window.time) < BLOCKS * ROWS_PER_BLOCK:
+    return nan if window is None else _block_error(window.begin, window.end, window.time, window.mass)
+
+
+FEWEST_PASSAGES = 20
+"""Passages of a stage from which the flow of its middle half has a standard error below sqrt(2 / 20) = 32 %,
+and each of BLOCKS parts of the window has one on average."""
+FEWEST_OF_STEADY = 4
+"""Passages of a stage below which its middle half has less than two: the time between them is no flow."""
+
+
+def _counting_error(crossings: np.ndarray, mass: float) -> float:
+    """Standard error of the mass of independent passages over a mass [kg]; NaN without passages.
+
+        sqrt(sum m^2) / M
+
+    The number of independent passages is a Poisson variable, so that the variance of their mass is the sum of
+    the squared masses. That of half of the mass is half of it: sqrt(2) times this relative error. Flows that
+    are more regular have a smaller error. `crossings`: number and sum of squared masses [kg2].
+    """
+    return sqrt(crossings[1]) / abs(mass) if crossings[0] and mass else nan
+
+
+def _block_error(begin: float, end: float, time: np.ndarray, mass: np.ndarray) -> float:
+    """Standard error [kg/s] of the mean flow from `begin` to `end` [s] from its fluctuation, see
+    `steady_flow_error`; `time` [s], `mass` [kg] (rows,): samples."""
+    if len(time) < BLOCKS * ROWS_PER_BLOCK:
         return nan
-    edges = np.linspace(window.begin, window.end, BLOCKS + 1)
-    flow = np.diff(np.interp(edges, window.time, window.mass)) / np.diff(edges)
+    edges = np.linspace(begin, end, BLOCKS + 1)
+    flow = np.diff(np.interp(edges, time, mass)) / np.diff(edges)
     off = flow - flow.mean()
     variance = float(off @ off)
     if variance == 0.0:

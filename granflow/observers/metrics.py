@@ -12,6 +12,7 @@ from granflow.arguments import shown
 from granflow.errors import FunctionError
 from granflow.observers.meters import StageRows
 from granflow.plan.plan import Plan
+from granflow.plan.wall_control import plane_of
 from granflow.scene.blocks.metrics import MeasuredScene, Metric, Reading
 from granflow.snapshot import Snapshot
 
@@ -100,6 +101,7 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
         materials=tuple(plan.scene.materials),
         densities=tuple(each.density for each in plan.scene.materials.values()),
         walls=tuple(wall.name for wall in plan.walls),
+        planes={wall.name: plane for wall in plan.walls if (plane := plane_of(wall)) is not None},
     )
     return {
         name: MetricMeter(partial(_reading, name, metric, scene), metric.wants)

@@ -5,14 +5,15 @@ time series, which updates the flow meters, passes their passages to both.
 """
 
 from collections.abc import Mapping, Sequence
-from math import inf, nan, sqrt
+from math import fsum, inf, nan, sqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from granflow.fields import HOLD_UP
 from granflow.io.tables import RESIDENCE_FILE, RowFile
-from granflow.observers.meters import FlowCounter, Passages
+from granflow.observers.meters import FlowCounter, Passages, StageRows
 from granflow.scene.blocks.output import ResidenceTime
 from granflow.snapshot import Snapshot
 
@@ -90,10 +91,17 @@ class ResidenceTimes:
         self._left: set[int] = set()
         self._mass: list[float] = []
         self._time: list[float] = []
-        self._residing = 0
+        self._residing = [0, 0.0]
+        self._stage = ""
+        self._stage_rows = StageRows()
 
-    def record(self, snapshot: Snapshot, meters: Mapping[str, FlowCounter]) -> None:
-        """Count the particles that entered and left since the last sample, and write those that left."""
+    def record(
+        self, snapshot: Snapshot, meters: Mapping[str, FlowCounter], replaces_last: bool = False
+    ) -> None:
+        """Count the particles that entered and left since the last sample, and write those that left.
+
+        `replaces_last`: the last sample, of the same stage, does not enter the means any more.
+        """
         if self.rows is not None and self.rows.is_empty:
             self.rows.write(_RESIDENCE)
         out = meters[self.to].passages
@@ -109,6 +117,8 @@ class ResidenceTimes:
                 for row in _rows(left, begun, self._names):
                     self.rows.write(row)
         self._residing = self._count_residing(snapshot)
+        self._stage = snapshot.stage
+        self._stage_rows.update(self._stage, self.readings(), replaces_last)
 
     def _counts(self, group: np.ndarray, begun: np.ndarray) -> np.ndarray:
         """Whether particles (k,) of these groups that enter at `begun` [s] count."""
@@ -152,21 +162,30 @@ class ResidenceTimes:
                 self._entered.setdefault(number, time)
         return out.select(np.array(ended, dtype=int)), np.array(begun)
 
-    def _count_residing(self, snapshot: Snapshot) -> int:
-        """Number of particles present that have entered and not left; forgets those that were deleted."""
+    def _count_residing(self, snapshot: Snapshot) -> list[float]:
+        """Number and mass [kg] of particles present that have entered and not left; forgets those that were
+        deleted."""
         particles = snapshot.particles
+        present = set(particles["id"].tolist())
         if self.begins_at is not None:
-            present = set(particles["id"].tolist())
             self._entered = {number: time for number, time in self._entered.items() if number in present}
-            return len(self._entered)
-        counts = self._counts(particles["group"], particles["insertion_time"])
-        self._left &= set(particles["id"].tolist())
-        return int(counts.sum()) - len(self._left)
+            resides = np.isin(particles["id"], list(self._entered))
+        else:
+            self._left &= present
+            resides = self._counts(particles["group"], particles["insertion_time"])
+            resides &= ~np.isin(particles["id"], list(self._left))
+        return [int(resides.sum()), fsum(particles["mass"][resides].tolist())]
+
+    def readings(self) -> dict[str, float]:
+        """Return the numbers of HOLD_UP at the last row."""
+        return dict(zip(HOLD_UP, map(float, self._residing), strict=True))
 
     def result(self) -> dict[str, float]:
         """Return the numbers of `RESIDENCE_QUANTITIES`; NaN for a mean or deviation without particles."""
         numbers = _numbers(np.array(self._time), np.array(self._mass))
-        return numbers | {"residing_count": self._residing}
+        means = self._stage_rows.means(self._stage)
+        numbers |= dict(zip(HOLD_UP, self._residing, strict=True))
+        return numbers | {f"{name}_mean": means.get(name, nan) for name in HOLD_UP}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the particles that are inside, those that have left and exist, and the known times."""
@@ -177,6 +196,8 @@ class ResidenceTimes:
             "mass": np.array(self._mass, dtype=np.float64),
             "time": np.array(self._time, dtype=np.float64),
             "residing": self._residing,
+            "stage": self._stage,
+            "stage_rows": self._stage_rows.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -187,6 +208,8 @@ class ResidenceTimes:
         self._mass = saved["mass"].tolist()
         self._time = saved["time"].tolist()
         self._residing = saved["residing"]
+        self._stage = saved["stage"]
+        self._stage_rows.load_state_dict(saved["stage_rows"])
 
 
 def _numbers(times: np.ndarray, masses: np.ndarray) -> dict[str, float]:

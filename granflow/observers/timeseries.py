@@ -13,7 +13,9 @@ import numpy as np
 
 from granflow.fields import (
     FLOW_METER_QUANTITIES,
+    INSERTION_QUANTITIES,
     OUTLET_QUANTITIES,
+    RESIDENCE_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
@@ -37,8 +39,9 @@ READINGS: Mapping[str, Mapping[str, Quantity]] = {
     "metrics": METRIC_QUANTITIES,
 }
 """Quantities that the meters of each kind read, by name, in the order of the columns."""
-PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES, **WEAR_QUANTITIES}
-"""Totals of one outlet or wall, named `NAME.PART`."""
+INSERTED = INSERTION_QUANTITIES["inserted_count"]
+PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES, **WEAR_QUANTITIES, INSERTED.name: INSERTED}
+"""Totals of one outlet, wall or inserted group, named `NAME.PART`."""
 NO_ROWS = {"size": 0, "unwritten": ""}
 """State of the rows without a file."""
 SHORTEST_ROW = 0.5
@@ -117,7 +120,7 @@ class TimeSeries(ScheduledObserver):
                 meter.update(snapshot, replaces_last)
         known = {name: number for name, number in snapshot.totals.items() if name in TOTAL_QUANTITIES}
         self._stage_rows.update(snapshot.stage, known, replaces_last)
-        self._record_passages(snapshot)
+        self._record_passages(snapshot, replaces_last)
         time_before = snapshot.time if self._time_before is None else self._time_before
         self._last = snapshot.time, time_before, snapshot.totals
         if self._rows is None:
@@ -130,7 +133,7 @@ class TimeSeries(ScheduledObserver):
         totals = [snapshot.totals.get(name, "") for name in self._names]
         self._rows.write([snapshot.time, snapshot.stage, *totals, *readings.values()], replaces_last)
 
-    def _record_passages(self, snapshot: Snapshot) -> None:
+    def _record_passages(self, snapshot: Snapshot, replaces_last: bool) -> None:
         """Write the passages of the flow meters, and the particles that have left, since the last sample."""
         meters = {
             name: each for name, each in self.meters["flow_meters"].items() if isinstance(each, FlowCounter)
@@ -138,7 +141,7 @@ class TimeSeries(ScheduledObserver):
         for name, table in self._passages.items():
             table.record(meters[name].passages)
         if self._residence is not None:
-            self._residence.record(snapshot, meters)
+            self._residence.record(snapshot, meters, replaces_last)
 
     @property
     def _files(self) -> dict[str, RowFile]:
@@ -183,13 +186,14 @@ class TimeSeries(ScheduledObserver):
         return results
 
     def remarks(self) -> list[str]:
-        """Return sentences on the metrics, such as the reason why the last value of one is NaN."""
-        return [
-            f"output.metrics.{name}: {sentence}."
-            for name, meter in self.meters["metrics"].items()
-            if isinstance(meter, MetricMeter)
-            for sentence in meter.remarks()
-        ]
+        """Return sentences on metrics and flow meters, such as the reason why the last value of one is NaN."""
+        found = {
+            f"{kind}.{name}": [meter.total.remark] if isinstance(meter, FlowCounter) else meter.remarks()
+            for kind, meters in self.meters.items()
+            for name, meter in meters.items()
+            if isinstance(meter, FlowCounter | MetricMeter)
+        }
+        return [f"output.{name}: {each}." for name, sentences in found.items() for each in sentences if each]
 
     def _named(self, kind: str) -> Iterator[tuple[str, FlowCount | WallForceMeter | MetricMeter]]:
         """Yield the meters of a kind by name; for flow meters the counts, of which parts have names of their
@@ -211,6 +215,9 @@ class TimeSeries(ScheduledObserver):
         for kind, known in READINGS.items():
             for name, meter in self._named(kind):
                 yield from ((known[quantity], name, value) for quantity, value in meter.readings().items())
+        if self._residence is not None:
+            for quantity, value in self._residence.readings().items():
+                yield RESIDENCE_QUANTITIES[quantity], self._residence.to, value
 
     def sync(self) -> None:
         """Flush all rows to the disk."""

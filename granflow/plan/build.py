@@ -54,7 +54,7 @@ from granflow.plan.time_step import (
     choose_time_step,
     max_impact_velocity,
 )
-from granflow.plan.wall_control import controlled_motions_of
+from granflow.plan.wall_control import controlled_motions_of, refuse_open_samples
 from granflow.plan.walls import PlannedWall, meshes_of, planned_walls, wall_speeds
 from granflow.scene.blocks.run import Numerics
 from granflow.scene.blocks.walls.wall import WallNote
@@ -88,6 +88,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     materials = _used_materials(scene)
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
     refuse_infinite_rotations(scene, walls)
+    refuse_open_samples(scene, walls)
     impact_velocity = max_impact_velocity(scene, walls)
     velocity = impact_velocity.value
     groups = tuple(groups_of(scene).values())

@@ -9,7 +9,7 @@ key and the sentence where the condition takes a computation.
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, combinations, product
-from math import ceil, expm1, inf, pi, sqrt
+from math import ceil, expm1, floor, inf, pi, sqrt
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from granflow.contact import registry
 from granflow.geometry.periodic_box import AXES
 from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
-from granflow.particles.insertion import MAX_BATCHES
+from granflow.particles.group import SceneGroup
+from granflow.particles.insertion import DUE_TOLERANCE, MAX_BATCHES
 from granflow.plan.overlaps import (
     HARDEST,
     mean_volume,
@@ -68,6 +69,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         wear_findings(plan),
         gap_findings(plan),
         gain_findings(plan),
+        condition_findings(plan),
     )
     yield from conduction_areas(scene)
     sentences = [f"{_key_and_place(scene, *path)}{rest}" for path, rest in findings]
@@ -120,6 +122,106 @@ def gain_findings(plan: Plan) -> Iterator[Finding]:
                 f"pressure alternates by up to {pressure_words(amplitude)} in each step. Lower gain, or omit "
                 "it.",
             )
+
+
+NEVER_NEGATIVE = {
+    *("particle_count", "inserted_count", "deleted_count", "queued_count", "contact_count"),
+    *("deleted_mass", "outlet_count", "outlet_mass", "kinetic_energy", "rotational_energy", "elastic_energy"),
+    *("overlap_mean", "overlap_largest", "coordination_number", "granular_temperature", "residing_mass"),
+}
+"""Columns that are 0 or more."""
+SHARES = {"sliding_share", "rattler_share", "solid_fraction"}
+"""Columns of metrics from 0 to 1."""
+
+
+def condition_findings(plan: Plan) -> Iterator[Finding]:
+    """Conditions of stages that no state of the particles can satisfy, so that the stage takes its longest
+    duration; and stages that have no row of the time series, at which conditions are evaluated."""
+    scene = plan.scene
+    interval = scene.output.timeseries_interval or scene.output.interval
+    for number, stage in enumerate(scene.stages):
+        at_most = f"the stage lasts its max_duration, {stage.longest:g} s"
+        if stage.until and interval > stage.longest:
+            yield (
+                ("stages", number, "until"),
+                f" is evaluated at the rows of the time series, every {interval:g} s, of which the stage has "
+                f"one or none in its max_duration, {stage.longest:g} s. Lower output.timeseries_interval.",
+            )
+        for index, condition in enumerate(stage.until):
+            low, high, why = _range_of(plan, condition.quantity, number)
+            path = ("stages", number, "until", index)
+            if condition.above is not None and condition.above >= high:
+                yield (
+                    path,
+                    f": {condition.quantity} is at most {high:.6g}{why}, never above {condition.above:.6g}; "
+                    f"{at_most}. Give a lower value.",
+                )
+            if condition.below is not None and condition.below <= low:
+                yield (
+                    path,
+                    f": {condition.quantity} is never below {condition.below:.6g}; {at_most}. Give a value "
+                    "above 0.",
+                )
+        if stage.kinetic_energy_below == 0.0:
+            yield (
+                ("stages", number, "kinetic_energy_below"),
+                f" is 0 J, and no energy is below; {at_most}. Give an energy above 0.",
+            )
+
+
+def _range_of(plan: Plan, name: str, stage: int) -> tuple[float, float, str]:
+    """Lower and upper bound of a column up to the end of a stage, and words for the reason of the upper one;
+    infinite where nothing is known."""
+    quantity, _, part = name.partition(".")
+    if quantity in SHARES:
+        return 0.0, 1.0, ""
+    low = 0.0 if quantity in NEVER_NEGATIVE else -inf
+    entered = {each: _largest_count(plan, each, stage) for each in plan.scene.particles}
+    if quantity == "inserted_count" and part:
+        count, why = entered[part]
+        return low, float(count), why
+    counts = {each: count for each, (count, _) in entered.items()}
+    bodies = {each: group.shape.sphere_count for each, group in plan.scene.particles.items()}
+    if quantity in ("particle_count", "inserted_count", "deleted_count", "outlet_count"):
+        total = sum(count * bodies[each] for each, count in counts.items())
+        return low, float(total), ", the number of all particles until then"
+    if quantity in ("deleted_mass", "outlet_mass"):
+        mass = sum(counts[group.name] * _largest_mass(group) for group in plan.groups)
+        return low, mass, " kg, the mass of all particles until then"
+    return low, inf, ""
+
+
+def _largest_mass(group: SceneGroup) -> float:
+    """Mass [kg] of the largest particle of a group."""
+    radius = 0.5 * group.spec.outer_diameters[1]
+    return float(np.max(group.spec.shape.volume(np.array([radius])))) * group.density
+
+
+def _largest_count(plan: Plan, name: str, stage: int) -> tuple[float, str]:
+    """Largest number of particles of a group until the end of a stage, and words for the reason.
+
+    Particles of a flow are due from the start on: 1 + rate t, or 1 + mass_flow t / m of the smallest.
+    """
+    scene = plan.scene
+    group = scene.particles[name]
+    insertion = group.insert
+    if insertion.from_program:
+        return inf, ""
+    if isinstance(insertion, TimedInsertion):
+        first, last = 0, len(scene.schedule) - 1
+        if insertion.stages is not None:
+            first, last = scene.stage_range(insertion.stages)
+        duration = sum(each.longest for each in scene.schedule[first : min(last, stage) + 1])
+        duration = max(duration - (0.0 if insertion.stages is not None else insertion.start), 0.0)
+        rate = insertion.rate
+        if rate is None and insertion.mass_flow is not None:
+            smallest = 0.5 * group.outer_diameters[0]
+            density = scene.materials[group.material].density
+            rate = insertion.mass_flow / (density * float(group.shape.volume(np.array([smallest]))[0]))
+        due = floor(rate * duration + DUE_TOLERANCE) + 1 if rate is not None else inf
+        if due < group.count:
+            return due, f" until the end of the stage at the rate of particles.{name}"
+    return group.count, f", the count of particles.{name}"
 
 
 def fixed_findings(plan: Plan) -> Iterator[Finding]:

@@ -5,9 +5,8 @@ stable only if it is slow enough for the contacts of a layer of particles on the
 follow from the stiffness and viscosity of such a layer, and from the time step.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from math import sqrt
 
 import numpy as np
@@ -15,17 +14,15 @@ import numpy as np
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.periodic_box import AXES
-from granflow.geometry.vectors import is_parallel
+from granflow.geometry.vectors import are_perpendicular, is_parallel
 from granflow.load import Scene
 from granflow.plan.pair_case import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.metrics import SolidFractionMetric, across
 from granflow.scene.blocks.motions import ForceControlledMotion, Numbers, WallContacts
 from granflow.scene.blocks.walls.rectangle import Plate
 from granflow.schema.quantities import Vector3
-
-PERPENDICULAR = 1e-6
-"""Largest cosine between perpendicular unit vectors."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,6 @@ def _section_between(scene: Scene, walls: Sequence[PlannedWall], index: int, num
     names: Sequence[str] | None = getattr(motion, "between", None)
     if names is None:
         return None
-    by_name = {wall.name: wall for wall in walls}
     directions = [
         (wall.name, np.array(each.direction))
         for wall in walls
@@ -148,14 +144,7 @@ def _section_between(scene: Scene, walls: Sequence[PlannedWall], index: int, num
     def refused(reason: str) -> SceneError:
         return SceneError(f"{scene.locate(*key)}: walls.{walls[index].name}.motion.between {reason}.")
 
-    for name, other in zip(names[::2], names[1::2], strict=True):
-        first, second = _plane_of(by_name[name]), _plane_of(by_name[other])
-        if first is None or second is None:
-            raise refused("has walls that are not flat; give planes or rectangles")
-        normal = first[1]
-        length = float((second[0] - first[0]) @ normal)
-        if not is_parallel(normal, second[1]) or length == 0.0:
-            raise refused(f"has {name} and {other} as a pair, which are not opposite to each other")
+    for name, other, normal, length in _opposite_walls(walls, names, refused):
         signs = {other: 1.0 / length, name: -1.0 / length}
         found = {
             r: signs[wall] * float(direction @ normal)
@@ -165,17 +154,59 @@ def _section_between(scene: Scene, walls: Sequence[PlannedWall], index: int, num
         lengths.append(abs(length))
         normals.append(normal)
         strains.append(found)
-    if any(abs(float(one @ two)) > PERPENDICULAR for one, two in combinations(normals, 2)):
+    if not are_perpendicular(*normals):
         raise refused("has walls that are not perpendicular to each other and parallel to the direction")
     if len(names) == 2:
-        third = [k for k in range(len(AXES)) if all(abs(each[k]) < PERPENDICULAR for each in normals)]
+        third = across(normals)
         if not third or AXES[third[0]] not in scene.domain.periodic:
             raise refused("has two walls, but no periodic axis across them; give four walls")
         lengths.append(float(np.subtract(scene.domain.max, scene.domain.min)[third[0]]))
     return Section(float(np.prod(lengths)), tuple(strains))
 
 
-def _plane_of(wall: PlannedWall) -> tuple[np.ndarray, np.ndarray] | None:
+def _opposite_walls(
+    walls: Sequence[PlannedWall], names: Sequence[str], refused: Callable[[str], SceneError]
+) -> Iterator[tuple[str, str, np.ndarray, float]]:
+    """Names, normal (3,) of the first, and signed distance [m] along it of each pair of opposite flat walls.
+
+    Raises the error that `refused` makes of a reason.
+    """
+    by_name = {wall.name: wall for wall in walls}
+    for name, other in zip(names[::2], names[1::2], strict=True):
+        first, second = plane_of(by_name[name]), plane_of(by_name[other])
+        if first is None or second is None:
+            raise refused("has walls that are not flat; give planes or rectangles")
+        normal = first[1]
+        length = float((second[0] - first[0]) @ normal)
+        if not is_parallel(normal, second[1]) or length == 0.0:
+            raise refused(f"has {name} and {other} as a pair, which are not opposite to each other")
+        yield name, other, normal, length
+
+
+def refuse_open_samples(scene: Scene, walls: Sequence[PlannedWall]) -> None:
+    """Raise SceneError for a metric whose walls do not enclose a volume."""
+    for key, metric in scene.output.metrics.items():
+        if not isinstance(metric, SolidFractionMetric):
+            continue
+        path = f"output.metrics.{key}.between"
+        place = scene.locate("output", "metrics", key, "between")
+
+        def refused(reason: str, path: str = path, place: str = place) -> SceneError:
+            return SceneError(f"{place}: {path} {reason}.")
+
+        normals = [normal for *_, normal, _ in _opposite_walls(walls, metric.between, refused)]
+        if not are_perpendicular(*normals):
+            raise refused("has pairs that are not perpendicular to each other")
+        open_axes = [AXES[k] for k in across(normals) if AXES[k] not in scene.domain.periodic]
+        if metric.radius is None and (len(across(normals)) + len(normals) < len(AXES) or open_axes):
+            axes = f" along {' and '.join(open_axes)}" if open_axes else ""
+            raise refused(
+                f"leaves the volume open{axes}, where the domain is not periodic. Give further pairs of "
+                "walls, or radius for a cylinder"
+            )
+
+
+def plane_of(wall: PlannedWall) -> tuple[np.ndarray, np.ndarray] | None:
     """A point of a flat wall and its unit normal; None for other walls."""
     surface = wall.surface
     if isinstance(surface, Plate):

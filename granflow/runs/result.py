@@ -344,7 +344,7 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
         *(name for name in _STATE if name in totals),
         *(name for name in others if totals[name] != 0.0),
         *(name for name in _LAST if name in totals and totals[name] != 0.0),
-        *(name for name in totals if "." in name and not name.startswith(_WORK)),
+        *(name for name in totals if "." in name and not name.startswith((*_WORK, "inserted_count."))),
     ]
     return [(_label(name).replace(".", ", "), *_value_and_unit(name, totals[name])) for name in names]
 
@@ -403,7 +403,10 @@ def _unit_text(name: str, number: float) -> str:
 
 
 _WORDS = {
-    "mass_flow_error": "mass flow, standard error in time",
+    "mass_flow_error": "mass flow, standard error",
+    "mass_flow_mean": "mass flow, mean of the last stage",
+    "mass_flow_error_mean": "mass flow, standard error of this mean",
+    "residence_time_mean": "residence time in the last stage, by number",
     "residence_time": "residence time, mean by number",
     "residence_time_deviation": "residence time, deviation by number",
     "residence_mean": "residence time, mean by mass",

@@ -19,6 +19,7 @@ from granflow.fields import (
     BOX_QUANTITIES,
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
+    HOLD_UP,
     INSERTION_QUANTITIES,
     OUTLET_QUANTITIES,
     RESIDENCE_QUANTITIES,
@@ -919,6 +920,7 @@ RESULT_ONLY = {
     "timings",
     "mass_flow_error",
     "residence_time_deviation",
+    "mass_flow_error_mean",
     "wall_force",
     "wall_torque",
     *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
@@ -963,7 +965,7 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
             yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
         elif _total(quantity) in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
             yield Fault(path, "output.energy_budget is false; set it to true")
-        elif _total(quantity) in BOX_QUANTITIES:
+        elif _total(quantity) in BOX_QUANTITIES and part not in parts.scene.output.metrics:
             yield from (Fault(path, reason) for reason in _missing_for_box(parts.scene, _total(quantity)))
 
 
@@ -1076,9 +1078,9 @@ def condition_columns(parts: PartialScene) -> Iterator[Fault]:
                 yield Fault(path, reason)
             elif _is_result_only(quantity, part):
                 instead = (
-                    "inserted_count, the sum of all groups"
+                    (f"inserted_count.{part}" if part else "inserted_count, the sum of all groups")
                     if quantity in INSERTION_QUANTITIES
-                    else ("particle_count, deleted_mass or wall_force_z.NAME")
+                    else "particle_count, deleted_mass or wall_force_z.NAME"
                 )
                 yield Fault(
                     path,
@@ -1092,8 +1094,8 @@ def _is_result_only(quantity: str, part: str) -> bool:
         quantity in RESULT_ONLY
         or (quantity.endswith("_mean") and quantity not in TOTAL_QUANTITIES)
         or quantity in STAGE_QUANTITIES
-        or quantity in RESIDENCE_QUANTITIES
-        or (quantity in INSERTION_QUANTITIES and (bool(part) or quantity not in TOTAL_QUANTITIES))
+        or (quantity in RESIDENCE_QUANTITIES and quantity not in HOLD_UP)
+        or (quantity in INSERTION_QUANTITIES and quantity not in TOTAL_QUANTITIES)
     )
 
 

@@ -259,9 +259,10 @@ def reason_without(quantity: str, directory: Path) -> str:
     metric."""
     if quantity not in numbers_of(directory):
         return f"{quantity} is missing."
-    metric = f"output.metrics.{quantity.partition('.')[2]}: "
+    part = quantity.partition(".")[2]
+    sources = (f"output.metrics.{part}: ", f"output.flow_meters.{part}: ")
     content = read_json(directory / "result.json") or {}
-    reasons = [str(each) for each in content.get("warnings", ()) if str(each).startswith(metric)]
+    reasons = [str(each) for each in content.get("warnings", ()) if str(each).startswith(sources)]
     return " ".join([f"{quantity} is NaN.", *reasons])
 
 

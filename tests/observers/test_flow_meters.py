@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from observers.snapshots import snapshot_of
 
-from granflow.observers.meters import FlowCounter, steady_flow, steady_flow_error
+from granflow.observers.meters import (
+    FlowCount,
+    FlowCounter,
+    Passages,
+    steady_flow,
+    steady_flow_error,
+)
 from granflow.scene.blocks.output import FlowMeter
 
 
@@ -183,3 +189,66 @@ def test_steady_flow_error_is_nan_for_fewer_than_two_rows_per_part(rows):
 
 def test_steady_flow_error_of_a_constant_flow_is_zero():
     assert steady_flow_error(flowing(np.full(200, 1e-3))) == pytest.approx(0.0, abs=1e-12)
+
+
+def counted(count, duration, interval=0.1, mass=1.0, stages=((0.0, "run"),), seed=1):
+    """A count of independent passages of equal particles, inserted at 0 s, at random times before `duration`
+    [s]; and these times."""
+    times = np.sort(np.random.default_rng(seed).uniform(0.0, duration, count))
+    found = FlowCount()
+    for k in range(round(duration / interval) + 1):
+        now = k * interval
+        stage = [name for begin, name in stages if begin <= now][-1]
+        own = times[(times > now - interval) & (times <= now)]
+        number = np.zeros(len(own), int)
+        found.begin_sample(stage, False)
+        found.add(
+            Passages(
+                time=own, direction=number + 1, id=number, mass=np.full(len(own), mass), radius=number + 0.1,
+                group=number, material=number, insertion_time=0.0 * own,
+            )
+        )  # fmt: skip
+        found.end_sample(now, stage)
+    return found, times
+
+
+def test_mean_flow_and_residence_time_of_the_last_stage():
+    found, times = counted(60, 12.0, mass=0.5, stages=((0.0, "fill"), (4.05, "run")))
+    late = times[times > 4.0]  # the stage begins at the last row before it
+    result = found.result()
+    assert result["mass_flow_mean"] == pytest.approx(0.5 * len(late) / 8.0)
+    assert result["residence_time_mean"] == pytest.approx(late.mean())
+    assert result["residence_time"] == pytest.approx(times.mean())
+    restored = FlowCount()
+    restored.load_state_dict(found.state_dict())
+    assert restored.result() == result and found.remark == ""
+
+
+@pytest.mark.parametrize(("count", "error"), [(4, "71 %"), (10, "45 %"), (19, "32 %"), (20, ""), (0, "")])
+def test_a_steady_flow_of_few_passages_has_their_counting_error(count, error):
+    """sqrt(2 / n) for equal particles, since the middle half of the mass has n / 2 passages."""
+    found, _ = counted(count, 10.0)
+    result = found.result()
+    assert (error in found.remark) if error else found.remark == ""
+    if error:
+        assert result["mass_flow_error"] == pytest.approx(result["mass_flow"] * np.sqrt(2.0 / count))
+        assert result["mass_flow_error_mean"] == pytest.approx(np.sqrt(count) / 10.0)
+
+
+def test_a_flow_of_one_passage_is_nan():
+    """Half of one particle passes within half an interval of the rows: a rate of 10 kg/s for 1 kg in 10 s."""
+    found, _ = counted(1, 10.0)
+    result = found.result()
+    assert np.isnan(result["mass_flow"]) and result["mass_flow_mean"] == pytest.approx(0.1)
+    assert found.remark.startswith("mass_flow is NaN: the last stage with flow has 1 passage,")
+
+
+def test_counting_error_is_the_scatter_of_independent_passages():
+    """Mean flows of Poisson numbers of particles, 12 on average, in 10 s."""
+    random = np.random.default_rng(3)
+    results = [
+        counted(n, 10.0, 0.5, seed=k)[0].result() for k, n in enumerate(random.poisson(12.0, 400)) if n
+    ]
+    flows = np.array([each["mass_flow_mean"] for each in results])
+    errors = np.array([each["mass_flow_error_mean"] for each in results])
+    assert np.sqrt((errors**2).mean()) == pytest.approx(flows.std(), rel=0.12)  # 3 / sqrt(2 * 400)

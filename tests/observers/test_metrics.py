@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of
-from scene_builders import build_scene, particle_group
+from scene_builders import build_scene, particle_group, plane
 
+from granflow.errors import SceneError
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.observers.metrics import MetricMeter, metric_meters
 from granflow.plan.build import plan_for
@@ -32,6 +33,7 @@ from granflow.scene.blocks.metrics import (
     stress_tensor,
 )
 from granflow.scene.blocks.primitives import Box
+from granflow.snapshot import WallPose
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
 
@@ -673,3 +675,69 @@ def test_orientation_across_a_periodic_boundary_and_of_bodies_without_an_axis():
     corner = 0.5 + 0.01 * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     flat = OrientationMetric().measure(snapshot_of(particles=particles | {"position": corner}), scene)
     assert np.isnan(flat.numbers["order_parameter"]) and "no clumps with a longest axis" in flat.remark
+
+
+def sample(walls, **keys):
+    """The numbers and the remark of a metric solid_fraction between `walls` {name: (point, normal, offset)},
+    of spheres of radius 5 mm at x = 0, 10, ..., 90 mm."""
+    radius = np.full(10, 5e-3)
+    position = np.column_stack([0.01 * np.arange(10), np.zeros((10, 2))])
+    particles = particles_of(
+        10, position=position, radius=radius, mass=2500.0 * 4.0 / 3.0 * np.pi * radius**3,
+        material=np.zeros(10, int), fixed=np.zeros(10, np.uint8),
+    )  # fmt: skip
+    poses = {
+        name: WallPose(offset is not None, np.array(offset or [0.0] * 3), np.eye(3), np.zeros(3))
+        for name, (_, _, offset) in walls.items()
+    }
+    domain = keys.pop("domain", {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"})
+    scene = build_scene(
+        {"beads": particle_group(position)},
+        {name: plane(point, normal) for name, (point, normal, _) in walls.items()},
+        output={"interval": 1.0, "metrics": {"sample": {"kind": "solid_fraction", **keys}}},
+        domain=domain,
+    )
+    (meter,) = metric_meters(plan_for(scene)).values()
+    meter.update(snapshot_of(particles=particles, walls=poses))
+    return meter.readings(), meter.remark
+
+
+ENDS = {
+    "left": ([-0.005, 0, 0], [1, 0, 0], [0.0] * 3),
+    "right": ([0.095, 0, 0], [-1, 0, 0], [-0.03, 0.0, 0.0]),
+}
+SPHERE = 4.0 / 3.0 * np.pi * 0.005**3
+
+
+def test_solid_fraction_between_walls_follows_their_displacement():
+    """The right wall has moved from x = 95 to 65 mm: seven spheres (centers up to 60 mm) in 70 mm of a cylinder
+    of radius 20 mm; with a box of 0.1 m x 0.2 m around them, the same volume of particles in another one."""
+    found, remark = sample(ENDS, between=["left", "right"], radius=0.02)
+    assert found["enclosed_volume"] == pytest.approx(np.pi * 0.02**2 * 0.07) and not remark
+    assert found["solid_fraction"] == pytest.approx(7 * SPHERE / (np.pi * 0.02**2 * 0.07))
+    assert found["void_ratio"] == pytest.approx(1.0 / found["solid_fraction"] - 1.0)
+    box = {
+        "front": ([0, -0.05, 0], [0, 1, 0], [0.0] * 3), "back": ([0, 0.05, 0], [0, -1, 0], [0.0] * 3),
+        "floor": ([0, 0, -0.1], [0, 0, 1], [0.0] * 3), "lid": ([0, 0, 0.1], [0, 0, -1], [0.0] * 3),
+    }  # fmt: skip
+    found, _ = sample(ENDS | box, between=["left", "right", "front", "back", "floor", "lid"])
+    assert found["solid_fraction"] == pytest.approx(7 * SPHERE / (0.1 * 0.2 * 0.07))
+    periodic = {"min": [-1.0, -0.1, -0.3], "max": [1.0, 0.1, 0.3], "periodic": ["y", "z"], "on_exit": "error"}
+    found, _ = sample(ENDS, between=["right", "left"], domain=periodic)
+    assert found["solid_fraction"] == pytest.approx(7 * SPHERE / (0.2 * 0.6 * 0.07))
+
+
+def test_solid_fraction_without_a_wall_is_nan_with_its_reason():
+    found, remark = sample(
+        ENDS | {"right": (*ENDS["right"][:2], None)}, between=["left", "right"], radius=0.02
+    )
+    assert np.isnan(list(found.values())).all() and remark == "right is absent"
+
+
+@pytest.mark.parametrize(("keys", "message"), [
+    ({"between": ["left", "right"]}, "leaves the volume open along y and z, where the domain is not periodic"),
+    ({"between": ["left", "floor"], "radius": 0.1}, "has left and floor as a pair, which are not opposite"),
+])  # fmt: skip
+def test_walls_that_enclose_no_volume_are_refused(keys, message):
+    with pytest.raises(SceneError, match=message):
+        sample(ENDS | {"floor": ([0, 0, -0.1], [0, 0, 1], [0.0] * 3)}, **keys)

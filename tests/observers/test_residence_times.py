@@ -54,6 +54,7 @@ PATHS = {
 def test_a_residence_is_from_the_first_entrance_to_the_first_exit(given, count, mean, residing):
     found = measured(given, PATHS)
     assert (found["residence_count"], found["residing_count"]) == (count, residing)
+    assert found["residing_mass"] == 3.0 * residing  # particle 3, a tracer
     assert found["residence_mean"] == pytest.approx(mean, rel=1e-14)
 
 
@@ -64,8 +65,19 @@ def test_without_from_the_insertion_begins_the_time_and_each_particle_counts_onc
     weights = np.array([1.0, 3.0, 1.0, 1.0])
     mean = (weights * times).sum() / weights.sum()
     variance = (weights * (times - mean) ** 2).sum() / weights.sum()
-    assert (found["residence_count"], found["residing_count"]) == (4, 1)
+    assert (found["residence_count"], found["residing_count"], found["residing_mass"]) == (4, 1, 3.0)
     assert found["residence_mean"] == pytest.approx(mean, rel=1e-14)
     assert found["residence_deviation"] == pytest.approx(variance**0.5, rel=1e-13)
     assert found["tanks_in_series"] == pytest.approx(mean**2 / variance, rel=1e-13)
     assert measured({"from": "feed", "to": "out"}, PATHS, begins_at=None)["residence_count"] == 3
+
+
+def test_hold_up_over_the_flow_is_the_residence_time():
+    """Particle k enters at k + 0.5 s and leaves 1.5 intervals later: before the first exit 0, 1, 2 reside, then
+    always two; a flow of one particle per second, and a residence time of 2 s (Little's law)."""
+    count = 12
+    paths = {k: [0] * (k + 1) + [2, 2] + [4] * (count - k) for k in range(count)}
+    residing = [0, 1, 2, *[2] * (count - 3)]
+    found = measured({"from": "top", "to": "out"}, {k: path[:count] for k, path in paths.items()})
+    assert found["residence_mean"] == pytest.approx(2.0)
+    assert found["residing_count_mean"] == pytest.approx(np.mean(residing))

@@ -269,3 +269,55 @@ def test_clumps_with_a_sphere_twice_or_a_gap_are_reported(tmp_path, last, fault)
     assert fault in warning
     valid = warning.split("such as ")[1].split(" m")[0]
     assert clump_warnings(f"{{position: {valid}, radius: 2 mm}}") == []
+
+
+MASS = 2500.0 * np.pi / 6.0 * 0.004**3
+"""Mass [kg] of a particle of 4 mm."""
+JET = "{kind: rain, rate: 100 1/s, start: 0.1 s, region: {box: {min: [0, 0, 1 cm], max: [2 cm, 2 cm, 2 cm]}}}"
+
+
+@pytest.mark.parametrize(("condition", "bound"), [
+    ("quantity: particle_count, above: 310", "at most 310, the number of all particles until then"),
+    ("quantity: particle_count, above: 309", None),
+    ("quantity: inserted_count.jet, above: 300", "at most 300, the count of particles.jet"),
+    ("quantity: inserted_count.jet, above: 299", None),
+    (f"quantity: deleted_mass, above: {310.5 * MASS}", f"at most {310.0 * MASS:.6g} kg"),
+    (f"quantity: deleted_mass, above: {309.5 * MASS}", None),
+    ("quantity: kinetic_energy, below: 0", "kinetic_energy is never below 0"),
+    ("quantity: kinetic_energy, below: 1e-9", None),
+])  # fmt: skip
+def test_condition_that_can_never_be_satisfied_is_reported(tmp_path, condition, bound):
+    """Ten particles at the start, and 300 that enter within 10 s."""
+    stages = f"stages=[{{name: fill, until: {{{condition}}}, max_duration: 10 s}}]"
+    text = TEXT.replace("  duration: 50 ms\n", "")
+    jet = f"particles.jet={{material: glass, count: 300, diameter: 4 mm, insert: {JET}}}"
+    found = [
+        each for each in warnings_of(scene_of(tmp_path, jet, stages, text=text)) if "stages.0.until" in each
+    ]
+    assert len(found) == (bound is not None)
+    assert bound is None or (bound in found[0] and "the stage lasts its max_duration, 10 s" in found[0])
+
+
+@pytest.mark.parametrize(("duration", "above", "is_reported"), [(1.0, 91, True), (1.0, 90, False)])
+def test_count_that_a_flow_does_not_reach_within_the_stage_is_reported(
+    tmp_path, duration, above, is_reported
+):
+    """100 per second from 0.1 to 1 s are due at 0.1, 0.11, ..., 1 s: 91 particles."""
+    stages = f"stages=[{{name: fill, until: {{quantity: inserted_count.jet, above: {above}}}, max_duration: {duration}}}]"
+    text = TEXT.replace("  duration: 50 ms\n", "")
+    jet = f"particles.jet={{material: glass, count: 300, diameter: 4 mm, insert: {JET}}}"
+    found = [
+        each for each in warnings_of(scene_of(tmp_path, jet, stages, text=text)) if "stages.0.until" in each
+    ]
+    assert len(found) == is_reported
+    assert not found or "at most 91 until the end of the stage at the rate of particles.jet" in found[0]
+
+
+@pytest.mark.parametrize(("interval", "is_reported"), [("0.3 s", True), ("10 ms", False)])
+def test_stage_without_a_row_for_its_condition_is_reported(tmp_path, interval, is_reported):
+    until = "{quantity: kinetic_energy, below: 1 nJ}"
+    stages = f"stages=[{{name: settle, until: {until}, max_duration: 0.2 s}}]"
+    text = TEXT.replace("  duration: 50 ms\n", "")
+    scene = scene_of(tmp_path, stages, f"output.timeseries_interval={interval}", text=text)
+    found = [each for each in warnings_of(scene) if "is evaluated at the rows of the time series" in each]
+    assert len(found) == is_reported

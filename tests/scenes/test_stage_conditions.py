@@ -92,6 +92,25 @@ def test_the_count_of_all_inserted_particles_ends_a_stage(taichi_f64):
     assert ROW <= times["press"][1] < 1.5 * ROW
 
 
+def test_the_count_of_one_inserted_group_ends_a_stage(taichi_f64):
+    """Particles of a rain of 2000 per second are due at 0, 0.5, 1, ... ms: the fourth at 1.5 ms."""
+    region = {"box": {"min": [0.05, 0, 0], "max": [0.15, 0.1, 0.1]}}
+    rain = {"kind": "rain", "rate": 2000.0, "region": region}
+    groups = {
+        "ball": particle_group([0, 0, RADIUS]),
+        "feed": {"material": "glass", "count": 20, "diameter": 0.004, "insert": rain},
+    }
+    stages = [
+        {"name": "fill", "until": {"quantity": "inserted_count.feed", "above": 3}, "max_duration": 0.05}
+    ]
+    scene = build_scene(
+        groups, run={"velocity_max": 0.1}, stages=stages, output={"interval": 1.0, "timeseries_interval": ROW}
+    )
+    times, result = stage_ends(scene)
+    assert times["fill"][1] == pytest.approx(1.5e-3, abs=1.5 * ROW)
+    assert result.totals["inserted_count.feed"] == result.insertion["feed"]["inserted_count"] == 4.0
+
+
 def test_a_condition_must_hold_and_wait_for_the_shortest_duration(taichi_f64):
     """The force is below 1 N from the start: the stage ends after min_duration plus hold."""
     until = {"quantity": "wall_force_z.lid", "below": 1.0, "hold": 5 * ROW}

@@ -7,8 +7,9 @@ functions of arrays, precede it. `AnyMetric` at the end lists the kinds; a progr
 metrics of a run for each row of the time series.
 """
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import nan, pi
 from typing import Annotated, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
@@ -27,7 +28,7 @@ from granflow.fields import (
     Quantity,
 )
 from granflow.geometry.coarse_grid import CoarseGrid
-from granflow.geometry.vectors import frame_along
+from granflow.geometry.vectors import RIGHT_ANGLE_COSINE, frame_along, is_parallel
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.grids import GridSpec
 from granflow.scene.blocks.particles import Group
@@ -45,7 +46,7 @@ from granflow.schema.model import (
     optional,
 )
 from granflow.schema.quantities import Vector3
-from granflow.snapshot import CONTACTS, PARTICLES, PARTS, Snapshot, mobile_particles, selected
+from granflow.snapshot import CONTACTS, PARTICLES, PARTS, WALLS, Snapshot, mobile_particles, selected
 
 # What a metric is
 
@@ -99,6 +100,7 @@ class MeasuredScene:
 
     groups, materials, walls:  names; the index of a name is that in the arrays of a snapshot
     densities:                 of the materials [kg/m3]
+    planes:                    of each flat wall a point (3,) [m] and the unit normal (3,), at rest
     """
 
     domain: Domain
@@ -107,6 +109,7 @@ class MeasuredScene:
     materials: tuple[str, ...]
     densities: tuple[float, ...]
     walls: tuple[str, ...]
+    planes: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -1129,6 +1132,83 @@ class ContentMetric(Metric):
         )
 
 
+class SolidFractionMetric(Metric):
+    """Solid fraction and void ratio of the mobile particles between pairs of opposite flat walls, where these
+    are now: of an oedometer, a shear cell or a triaxial sample.
+
+        phi = sum V_i / V,    e = (1 - phi) / phi,    V = A product of the distances of the pairs
+
+    over the particles with their center between the walls of all pairs. The section A across them is that of
+    the periodic axes, pi R^2 of a cylinder of radius R around a single pair, or 1 with three pairs. Overlaps
+    belong to both particles.
+
+    >>> gf.SolidFractionMetric(between=["floor", "lid"], radius="25 mm").radius
+    0.025
+    """
+
+    kind: Literal["solid_fraction"] = Field("solid_fraction", description="kind of metric")
+    between: WallNames = Field(
+        description="pairs of opposite flat walls around the particles, such as [floor, lid, left, right]",
+        examples=[["floor", "lid"]],
+    )
+    radius: q.PositiveLength | None = optional(
+        "radius of the cylinder around a single pair [m]", "the section is that of the periodic axes"
+    )
+    quantities = (
+        Quantity("solid_fraction", "phi", "1", "volume of particles over that between walls"),
+        Quantity("void_ratio", "e", "1", "volume of voids between walls over that of particles"),
+        Quantity("enclosed_volume", "V", "m3", "volume between walls"),
+    )
+    wants = frozenset({PARTICLES, WALLS})
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless one to three pairs of different walls are given, and one with a radius."""
+        if len(self.between) not in (2, 4, 6) or len(set(self.between)) < len(self.between):
+            yield Fault(("between",), "it has two, four or six different walls, such as [floor, lid]")
+        elif self.radius is not None and len(self.between) > 2:
+            yield Fault(("radius",), "a cylinder is around a single pair of walls; remove radius")
+
+    def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
+        """See `Metric`."""
+        yield from unknown_names(("between",), self.between, parts.names("walls"), "wall")
+
+    def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
+        """See `Metric`; NaN while a wall is absent, if walls are not parallel, or without particles."""
+        particles = mobile_particles(snapshot.particles)
+        inside = np.ones(len(particles["position"]), bool)
+        volume = 1.0 if self.radius is None else pi * self.radius**2
+        normals = []
+        remark = ""
+        for names in zip(self.between[::2], self.between[1::2], strict=True):
+            absent = [name for name in names if not snapshot.walls[name].present]
+            (point, first), (opposite, second) = (
+                (pose.moved(scene.planes[name][0][None])[0], pose.rotation @ scene.planes[name][1])
+                for name in names
+                for pose in [snapshot.walls[name]]
+            )
+            length = float((opposite - point) @ first)
+            if absent or not is_parallel(first, second) or length == 0.0:
+                remark = f"{' and '.join(absent or names)} {'is absent' if absent else 'are not parallel'}"
+                break
+            share = (particles["position"].astype(float) - point) @ first / length
+            inside &= (share >= 0.0) & (share <= 1.0)
+            volume *= abs(length)
+            normals.append(first)
+        if self.radius is None:
+            size = np.subtract(scene.domain.max, scene.domain.min)
+            volume *= float(np.prod([size[k] for k in across(normals)]))
+        solid = float(_volume(selected(particles, inside), scene).sum())
+        if not remark and solid == 0.0:
+            remark = "there are no particles between the walls"
+        values = (nan, nan, nan) if remark else (solid / volume, volume / solid - 1.0, volume)
+        return Reading(dict(zip([each.name for each in self.quantities], values, strict=True)), remark)
+
+
+def across(normals: Sequence[np.ndarray]) -> list[int]:
+    """The axes that are perpendicular to all of some unit vectors (3,)."""
+    return [k for k in range(3) if all(abs(each[k]) < RIGHT_ANGLE_COSINE for each in normals)]
+
+
 def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
     """The center of mass [m] of particles at `position` (n, 3) [m] with `mass` (n,) [kg]; NaN without any."""
     total = float(mass.sum())
@@ -1326,6 +1406,7 @@ AnyMetric = Annotated[
     | StressMetric
     | CoordinationMetric
     | ContentMetric
+    | SolidFractionMetric
     | CenterOfMassMetric
     | GranularTemperatureMetric
     | SlidingMetric
