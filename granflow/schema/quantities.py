@@ -59,8 +59,8 @@ class Number:
     def read(self, value: Any) -> float | int | str:
         """Convert a value from the file to a number within the bounds (SI), or to one of the words.
 
-        Raises PydanticCustomError for another type, an unknown unit, a value that is not finite or out of
-        bounds.
+        Magnitudes below SMALLEST are 0. Raises PydanticCustomError for another type, an unknown unit, a value
+        that is not finite or out of bounds.
         """
         if isinstance(value, str) and value in self.words:
             return value
@@ -71,6 +71,8 @@ class Number:
             raise value_error(f"{self._noun} {self._bounds()}")
         if abs(number) > LARGEST or (number != 0 and self.above == 0 and number < SMALLEST):
             raise value_error(f"{self._noun} of this magnitude is out of range")
+        if abs(number) < SMALLEST:  # its square may be 0, so that a vector has no direction
+            number = 0.0
         return self._count(number) if self.whole else number
 
     def _number(self, value: Any) -> float:

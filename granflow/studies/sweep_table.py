@@ -49,6 +49,10 @@ class RunRow:
     warnings: tuple[str, ...] = ()
 
 
+ROUNDING = 1e-14
+"""Scatter of equal results relative to them: rounding of their mean."""
+
+
 def standard_error_of_mean(values: Sequence[float], errors: Sequence[float]) -> float:
     """Standard error of the mean of runs with different seeds; `errors`: that the runs give.
 
@@ -57,6 +61,8 @@ def standard_error_of_mean(values: Sequence[float], errors: Sequence[float]) -> 
     (`angle_of_repose_error`), but few seeds may agree by chance.
     """
     scatter = float(np.std(values, ddof=1) / sqrt(len(values))) if len(values) > 1 else nan
+    if scatter <= ROUNDING * float(np.abs(values).max(initial=0.0)):
+        scatter = 0.0
     combined = float(np.linalg.norm(errors) / len(errors)) if len(errors) else nan
     return float(np.fmax(scatter, combined))
 

@@ -270,6 +270,7 @@ def test_trials_with_several_seeds_have_the_loss_of_their_means(tmp_path, stand_
     assert target.error == pytest.approx(0.1 / np.sqrt(3.0) / 0.02)
     assert target.shown[1].endswith(" \N{PLUS-MINUS SIGN} 0.058") and "raise repeat.seeds" in target.noise
     assert len((tmp_path / "out" / "starts.txt").read_text().split("run ")) - 1 == 3 * 25
+    assert (tmp_path / "out" / "calibration.png").stat().st_size > 10_000
     page = (tmp_path / "out" / "calibration.html").read_text()
     assert "simulated, mean of 3 seeds" in page and "\N{PLUS-MINUS SIGN} 0.058" in page
     single = estimate_trials(

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import inf, nan
+from math import inf, nan, sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +27,7 @@ from granflow.studies.calibration.response import (
 )
 from granflow.studies.calibration.schema import (
     CalibrationInput,
+    Target,
     deviation_in_units,
     from_unit,
     settings_of,
@@ -34,7 +35,7 @@ from granflow.studies.calibration.schema import (
 from granflow.studies.calibration.search import Search
 from granflow.studies.calibration.trials import Measured, deviation, given_text
 from granflow.studies.checked_run import overrides_of
-from granflow.studies.figures import PageTable, without_empty_ends
+from granflow.studies.figures import COLORS, POINTS, Drawing, PageTable, without_empty_ends, write_figures
 from granflow.studies.interactive_plots import (
     COLOR_SCALE,
     Plot,
@@ -44,7 +45,7 @@ from granflow.studies.interactive_plots import (
     short_names,
 )
 from granflow.studies.page import page_text
-from granflow.units import in_unit
+from granflow.units import factor_of, in_unit
 
 # The result
 
@@ -323,7 +324,8 @@ PAGE = "calibration.html"
 
 
 def write_calibration_page(out: Path, calibration: CalibrationInput, result: CalibrationResult) -> None:
-    """Write `calibration.html` to the directory of the calibration; without plotly, it has tables only."""
+    """Write `calibration.html` and FIGURE to the directory of the calibration; without plotly, the page has
+    tables only, and without matplotlib, there is no figure."""
     script = express_library()
     text = page_text(
         "calibration.html",
@@ -339,6 +341,74 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, result: Cal
         trials=_trials(result, calibration),
     )
     write_text(out / PAGE, text)
+    write_figures(out, {FIGURE: figure_of(result, calibration)})
+
+
+FIGURE = "calibration.png"
+"""Figure of the targets and the loss of the completed trials over all parameters."""
+PANEL = (3.2, 2.2)
+"""Width and height of a panel [inch]."""
+MOST_PANELS = 6
+"""Largest number of rows and of columns of panels: of targets and the loss, and of parameters."""
+
+
+def figure_of(result: CalibrationResult, calibration: CalibrationInput) -> Drawing:
+    """Each target, with standard errors and its tolerance as a band, and the loss over each parameter; the
+    best trial is filled."""
+    trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
+    best = min(range(len(trials)), key=lambda k: trials[k].value)
+    parameters = dict(zip(calibration.parameters, _labels(calibration), strict=True))
+    shown = dict(list(parameters.items())[:MOST_PANELS])
+    targets = dict(list(calibration.targets.items())[: MOST_PANELS - 1])
+
+    def draw(figure: Any) -> None:
+        panels = figure.subplots(len(targets) + 1, len(shown), squeeze=False, sharey="row", sharex="col")
+        for column, (name, label) in enumerate(shown.items()):
+            each = calibration.parameters[name]
+            at = np.array([each.in_unit(trial.params[name]) for trial in trials])
+            for line, (key, target) in zip(panels, targets.items(), strict=False):
+                values, errors, band, heading = _values_of_target(target, key, trials)
+                line[column].axhspan(*band, color=COLORS[0], alpha=0.15, linewidth=0.0)
+                _draw_trials(line[column], at, values, errors, best)
+                if not column:
+                    line[column].set_ylabel(heading)
+            last = panels[-1][column]
+            losses = np.array([trial.value for trial in trials])
+            _draw_trials(last, at, losses, np.zeros(len(trials)), best)
+            last.set_yscale("log")
+            last.set_xlabel(label)
+            if each.scale == "log":
+                last.set_xscale("log")
+        panels[-1][0].set_ylabel("loss")
+
+    return Drawing(draw, 0.4 + PANEL[1] * (len(targets) + 1), 0.5 + PANEL[0] * len(shown))
+
+
+def _values_of_target(
+    target: Target, name: str, trials: Sequence[Any]
+) -> tuple[np.ndarray, np.ndarray, tuple[float, float], str]:
+    """Simulated values (trials,) of a target with their standard errors, its tolerance as a band, and its
+    label, in the unit of the target; of a curve the root mean square difference."""
+    unit = "" if target.value is None else target.value.unit
+    values = [in_unit(trial.user_attrs["simulated"][name], unit) for trial in trials]
+    factor = factor_of(unit, "any")
+    tolerance = target.tolerance / factor
+    if target.value is None:
+        errors = [0.0] * len(trials)
+        band, words = (0.0, tolerance), f"{name}, rms difference"
+    else:
+        share = [trial.user_attrs["errors"][name][0] / sqrt(target.weight) for trial in trials]
+        errors = [tolerance * each for each in share]
+        measured = in_unit(float(target.value), unit)
+        band, words = (measured - tolerance, measured + tolerance), name
+    shown = unit or unit_of(target.quantity)
+    return np.array(values), np.array(errors), band, f"{words} [{shown}]" if shown else words
+
+
+def _draw_trials(axes: Any, at: np.ndarray, values: np.ndarray, errors: np.ndarray, best: int) -> None:
+    """Points of all trials with their standard errors; that of the best trial is filled."""
+    axes.errorbar(at, values, errors, color=COLORS[0], marker="o", capsize=2.0, elinewidth=0.6, **POINTS)
+    axes.plot(at[best], values[best], color=COLORS[1], marker="o", markersize=5.0, linestyle="none", zorder=5)
 
 
 def _best(result: CalibrationResult) -> PageTable:
