@@ -7,7 +7,7 @@ command continues. Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. 
 
 import argparse
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ from granflow.cli.arguments import (
 from granflow.cli.process import deferred_to_event, exit_code_of
 from granflow.cli.run import prepare_output
 from granflow.errors import GranflowError
+from granflow.visible_text import numbered, readable
 
 if TYPE_CHECKING:
     from granflow.studies.calibration.calibrate import CalibrationFile
@@ -363,12 +364,21 @@ def add_accuracy(verbs: Any) -> None:
 
 def compare(options: argparse.Namespace) -> int:
     """`granflow compare`: run the scene with each contact model; print the table and assess linear springs.
+    With directories of runs, compare these instead.
 
     One subdirectory of the output directory per run, one page for all. Runs of the same comparison that have
     ended are not repeated, unless --overwrite is given. Raises GranflowError if the directory contains other
     runs, unless --overwrite is given. Returns 130 or 143 after a stop signal; the same command then continues
     the comparison.
     """
+    runs = [path for path in options.paths if path.is_dir()]
+    if runs:
+        return compare_existing(options, runs)
+    if len(options.paths) > 1:
+        raise GranflowError(
+            f"{options.paths[1]} is no directory of a run: give one scene file, or the directories of runs."
+        )
+    options.scene = options.paths[0]
     from granflow.studies.compare.runs import law_names
 
     laws = law_names(options.laws)
@@ -420,11 +430,51 @@ def compare(options: argparse.Namespace) -> int:
     return 0
 
 
+def compare_existing(options: argparse.Namespace, runs: Sequence[Path]) -> int:
+    """Print the keys of scenes and the numbers of runs that differ; with --out, write all as CSV files."""
+    from granflow.runs.comparison import compare_runs
+
+    files = [path for path in options.paths if path not in runs]
+    if files:
+        raise GranflowError(
+            f"{files[0]} is no directory of a run: give one scene file, or the directories of runs."
+        )
+    found = compare_runs(runs)
+    if found.keys:
+        show_table("Scene", ("key", *found.names), [(key, *values) for key, values in found.keys])
+    else:
+        say("The scenes are equal.")
+    differing = [row for row in found.numbers if row.differs]
+    shown = [row for row in differing if row.name not in found.of_stages]
+    rows = []
+    for row in shown:
+        cells = [readable(value) if value == value else "–" for value in row.values]
+        for index in range(1, len(cells)):
+            share = row.relative(index)
+            if share == share:
+                cells[index] += f" ({100.0 * share:+.3g} %)"
+        rows.append((row.name, row.unit, *cells))
+    if rows:
+        show_table(f"Differences to {found.names[0]}", ("quantity", "unit", *found.names), rows)
+    equal = len(found.numbers) - len(differing)
+    hidden = len(differing) - len(shown)
+    means = f"; {numbered(hidden, 'number')} of single stages differ (all: --out DIR)" if hidden else ""
+    say(f"{numbered(equal, 'number')} of {len(found.numbers)} are equal in all runs{means}.")
+    for remark in found.remarks:
+        say(remark)
+    if options.out:
+        say(f"Written to {' and '.join(map(str, found.write(options.out)))}.")
+    return 0
+
+
 def add_compare(verbs: Any) -> None:
     """Add `granflow compare` and its arguments."""
-    summary = "run the same scene with several contact models and compare the results on one page"
-    parser = add_scene_verb(verbs, compare, summary)
+    summary = "run a scene with several contact models and compare the results, or compare runs that exist"
+    parser = add_verb(verbs, compare, summary)
     add = parser.add_argument
+    scene_or_runs = "scene file (YAML), or directories of at least two runs"
+    add("paths", metavar="SCENE_OR_RUN", type=Path, nargs="+", help=scene_or_runs)
+    add_overrides(parser, "override a value of the scene, such as --set particles.beads.count=500")
     add("--laws", default="zhou,linear,hertz", help=LAWS)
     add_out(parser, "out/SCENE_compare")
     add("--reference-velocity", metavar="V", type=quantity("velocity"), help=REFERENCE_VELOCITY)
@@ -503,7 +553,6 @@ def sweep(options: argparse.Namespace) -> int:
     from granflow.studies.sweep import SweepStopped, read_sweep, run_sweep
     from granflow.studies.sweep_table import warning_sentence
     from granflow.studies.yield_locus import remarks_of, shown_table
-    from granflow.visible_text import numbered
 
     study = read_sweep(options.file)
     out = options.out or Path("out") / study.name

@@ -21,7 +21,7 @@ def unit(vector: object) -> np.ndarray:
     return array / length
 
 
-def are_perpendicular(*vectors: Sequence[float]) -> bool:
+def are_perpendicular(*vectors: Sequence[float] | np.ndarray) -> bool:
     """Whether each two of the vectors (3,) are perpendicular.
 
     Their lengths are above 0 and do not matter.

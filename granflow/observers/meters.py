@@ -99,8 +99,8 @@ class FlowCount:
         self.history: list[tuple[float, str, float]] = []
         self.passed = np.zeros(3)
         self.passed_before = self.passed
-        self.crossings = np.zeros(2)
-        self.begins = np.zeros((0, 6))
+        self.crossings: np.ndarray = np.zeros(2)
+        self.begins: np.ndarray = np.zeros((0, 6))
 
     def add(self, passages: "Passages") -> None:
         """Count passages; the residence times are those of the forward ones."""

@@ -44,7 +44,7 @@ class Difference(NamedTuple):
         return any(re.fullmatch(pattern, self.key) for pattern in ALLOWED_CHANGES)
 
     def __str__(self) -> str:
-        shown = ["not given" if value is None else _shown(value) for value in (self.before, self.now)]
+        shown = ["not given" if value is None else shown_value(value) for value in (self.before, self.now)]
         return f"{self.key} was {shown[0]} and is {shown[1]}"
 
 
@@ -435,10 +435,10 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def _shown(value: Any) -> str:
-    """The value as text; lists as in a scene file."""
+def shown_value(value: Any) -> str:
+    """A value of a scene as text; lists as in a scene file."""
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(shown_value, value))}]"
     return str(value)
 
 

@@ -4,6 +4,7 @@ All defaults of numerical parameters are in `RunSettings` and `Numerics`; no phy
 """
 
 from collections.abc import Iterator
+from math import inf
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -144,10 +145,11 @@ class Stage(Model):
             yield missing(("max_duration",), f"a stage with {condition} requires its maximum duration")
         elif self.duration is not None and self.max_duration is not None:
             yield Fault(("max_duration",), "it requires kinetic_energy_below or until; remove max_duration")
-        for index, each in enumerate(self.until if self.max_duration is not None else ()):
-            if self.min_duration < self.max_duration < self.min_duration + each.hold:
+        longest = self.max_duration or inf
+        for index, each in enumerate(self.until):
+            if self.min_duration < longest < self.min_duration + each.hold:
                 least = f"min_duration {self.min_duration:g} s and hold" if self.min_duration else "hold"
-                reason = f"{least} must fit into max_duration, {self.max_duration:g} s"
+                reason = f"{least} must fit into max_duration, {longest:g} s"
                 yield Fault(("until", index, "hold"), f"the condition can never end the stage: {reason}")
         if self.min_duration and not condition:
             yield Fault(("min_duration",), "it requires kinetic_energy_below or until; remove min_duration")
