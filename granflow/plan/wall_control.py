@@ -13,6 +13,7 @@ import numpy as np
 
 from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
+from granflow.geometry.mesh import Mesh
 from granflow.geometry.periodic_box import AXES
 from granflow.geometry.vectors import are_perpendicular, is_parallel
 from granflow.load import Scene
@@ -22,6 +23,7 @@ from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.metrics import SolidFractionMetric, across
 from granflow.scene.blocks.motions import ForceControlledMotion, Numbers, WallContacts
 from granflow.scene.blocks.walls.rectangle import Plate
+from granflow.scene.blocks.walls.revolved import Revolved
 from granflow.schema.quantities import Vector3
 
 
@@ -175,7 +177,7 @@ def _opposite_walls(
     for name, other in zip(names[::2], names[1::2], strict=True):
         first, second = plane_of(by_name[name]), plane_of(by_name[other])
         if first is None or second is None:
-            raise refused("has walls that are not flat; give planes or rectangles")
+            raise refused("has walls that are not flat; give planes, rectangles, discs or flat meshes")
         normal = first[1]
         length = float((second[0] - first[0]) @ normal)
         if not is_parallel(normal, second[1]) or length == 0.0:
@@ -206,11 +208,23 @@ def refuse_open_samples(scene: Scene, walls: Sequence[PlannedWall]) -> None:
             )
 
 
+FLATNESS = 1e-6
+"""Largest distance of a point from the plane of a flat mesh, over the size of the mesh: rounding of a text
+file."""
+
+
 def plane_of(wall: PlannedWall) -> tuple[np.ndarray, np.ndarray] | None:
     """A point of a flat wall and its unit normal; None for other walls."""
     surface = wall.surface
     if isinstance(surface, Plate):
         return np.asarray(surface.corner), np.asarray(surface.normal)
+    if isinstance(surface, Revolved) and surface.direction_z == 0.0:
+        return np.asarray(surface.origin), np.asarray(surface.axis)
+    if isinstance(surface, Mesh):
+        point, normal = surface.points[0], surface.adjacency.normal[0]
+        height = np.abs((surface.points - point) @ normal)
+        is_flat = height.max() <= FLATNESS * np.ptp(surface.points, axis=0).max()
+        return (point, normal) if is_flat else None
     return surface.plane
 
 

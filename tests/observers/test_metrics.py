@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from geometry.meshes import mesh
 from observers.snapshots import contacts_of, particles_of, snapshot_of
 from scene_builders import build_scene, particle_group, plane
 
@@ -11,6 +12,7 @@ from granflow.errors import SceneError
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.observers.metrics import MetricMeter, metric_meters
 from granflow.plan.build import plan_for
+from granflow.plan.wall_control import plane_of
 from granflow.scene.blocks.metrics import (
     METRIC_QUANTITIES,
     CoordinationMetric,
@@ -33,6 +35,7 @@ from granflow.scene.blocks.metrics import (
     stress_tensor,
 )
 from granflow.scene.blocks.primitives import Box
+from granflow.scene.blocks.walls.revolved import cone, disc
 from granflow.snapshot import WallPose
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
@@ -741,3 +744,17 @@ def test_solid_fraction_without_a_wall_is_nan_with_its_reason():
 def test_walls_that_enclose_no_volume_are_refused(keys, message):
     with pytest.raises(SceneError, match=message):
         sample(ENDS | {"floor": ([0, 0, -0.1], [0, 0, 1], [0.0] * 3)}, **keys)
+
+
+def test_plane_of_flat_walls():
+    """Discs, and meshes whose points are in one plane up to the rounding of a file."""
+    flat = disc([0.0, 0.0, 0.3], [0.0, 0.0, 2.0], 0.1, 0.0)
+    point, normal = plane_of(SimpleNamespace(surface=flat))
+    assert point == pytest.approx([0.0, 0.0, 0.3]) and abs(normal) == pytest.approx([0.0, 0.0, 1.0])
+    assert plane_of(SimpleNamespace(surface=cone([0, 0, 0], [0, 0, 1], 0.1, 0.2))) is None
+    points = np.array([[0.0, 0.0, 0.2], [1.0, 0.0, 0.2], [1.0, 1.0, 0.2], [0.0, 1.0, 0.2]])
+    for bend, expected in ((0.0, True), (1e-8, True), (1e-3, False)):
+        corners = points + [0.0, 0.0, bend] * (np.arange(4) == 2)[:, None]
+        found = plane_of(SimpleNamespace(surface=mesh(corners, [[0, 1, 2], [0, 2, 3]])))
+        assert (found is not None) == expected
+        assert not expected or (found[0][2], abs(found[1][2])) == pytest.approx((0.2, 1.0), abs=1e-7)
