@@ -8,6 +8,7 @@ triangles that a particle centered there can touch.
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
+from math import ceil, sqrt
 from typing import ClassVar
 
 import numpy as np
@@ -89,6 +90,12 @@ class Mesh(Surface):
     def distances(self, points: np.ndarray, reach: float) -> np.ndarray:
         """See `Surface`."""
         return distances_near(self.adjacency.vertex, reach, points)
+
+    def encloses(self, points: np.ndarray) -> np.ndarray:
+        """See `Surface`."""
+        edges = np.sort(np.concatenate([self.corners[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+        is_closed = bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
+        return crossed_above(self.points[self.corners], points) if is_closed else super().encloses(points)
 
     def triangles(self, center: Vector, extent: float) -> tuple[np.ndarray, np.ndarray]:
         """All triangles."""
@@ -403,6 +410,42 @@ def distances_near(vertex: np.ndarray, reach: float, points: np.ndarray) -> np.n
     point, triangle = np.nonzero(inside)
     np.minimum.at(found, point, triangle_distances(vertex[triangle], points[point]))
     return found
+
+
+OFF_EDGES = np.array([0.577e-7, 0.331e-7])
+"""Shift of a vertical line in x and y, over the size of the mesh: coordinates are often multiples of its
+dimensions, and a line through an edge would cross two triangles or none."""
+
+
+def crossed_above(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Whether the line upward from each point (n, 3) [m] crosses an odd number of triangles (t, 3, 3) [m]:
+    for a closed mesh, whether the point is inside."""
+    low, high = vertex.min(axis=(0, 1)), vertex.max(axis=(0, 1))
+    own = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
+    odd = np.zeros(len(points), dtype=bool)
+    # A grid of columns along z: each lists the triangles above or below it.
+    side = float((high - low)[:2].max()) / ceil(sqrt(len(vertex)))
+    shape = np.array([*np.maximum(np.ceil((high - low)[:2] / side), 1), 1]).astype(np.int64)
+    column, triangle = overlaps(vertex, 0.0, low, side, shape)
+    order = np.argsort(column, kind="stable")
+    start = starts_of(column[order], int(np.prod(shape)))
+    at = points[own, :2] + OFF_EDGES * (high - low).max()
+    x, y = np.clip(np.floor((at - low[:2]) / side).astype(np.int64), 0, shape[:2] - 1).T
+    point, entry = row_entries(start, y * shape[0] + x)
+    triangle = triangle[order][entry]
+    corners = [vertex[triangle, k, :2] - at[point] for k in range(3)]
+    areas = np.array([_cross(corners[(k + 1) % 3], corners[(k + 2) % 3]) for k in range(3)])
+    total = areas.sum(axis=0)
+    crosses = (np.sign(areas) == np.sign(total)).all(axis=0) & (total != 0.0)
+    height = (areas * vertex[triangle, :, 2].T).sum(axis=0) / np.where(crosses, total, 1.0)
+    above = crosses & (height > points[own[point], 2])
+    odd[own] = np.bincount(point[above], minlength=len(own)) % 2 == 1
+    return odd
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """z component (n,) of the cross products of vectors (n, 2)."""
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def side_of(vertex: np.ndarray, reach: float, low: np.ndarray, high: np.ndarray) -> float:

@@ -64,6 +64,10 @@ class Surface:
         """
         raise NotImplementedError
 
+    def encloses(self, points: np.ndarray) -> np.ndarray:
+        """Whether points (n, 3) are inside a closed mesh; False for others."""
+        return np.zeros(len(points), dtype=bool)
+
     def farthest_from(self, point: Vector, axis: Vector) -> float:
         """Largest distance of its points from an axis; infinite for an unbounded surface.
 

@@ -803,7 +803,7 @@ def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, 
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
         bodies = group.shape.placed_spheres(points, np.full(SAMPLES, radius), None)
         start = getattr(group.insert, "start", 0.0)
-        for wall, overlap in _overlaps(plan.walls, name, bodies, start, times):
+        for wall, overlap, _ in _overlaps(plan.walls, name, bodies, start, times):
             share = float(np.mean(overlap > plan.scene.numerics.intended_overlap))
             if share > MOST_INSIDE:
                 yield (
@@ -814,11 +814,16 @@ def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, 
                 )
 
 
+CONTAINED = 0.5
+"""Share of the particles of a group inside a closed mesh above which it is their container, such as a drum;
+below, the mesh is a solid body, such as an impeller."""
+
+
 def without_overlaps_of_walls(
     plan: Plan, particles: ParticleData, given: Container[str] = ()
 ) -> tuple[ParticleData, list[str]]:
-    """The initial particles without those of lattices and packings that overlap walls by more than the limit,
-    and a sentence for each group and wall.
+    """The initial particles without those of lattices and packings that overlap walls by more than the limit
+    or are inside closed meshes, and a sentence for each group and wall.
 
     given:   groups whose particles come from an earlier run or a program, which remain complete
     Raises:  SceneError if no particle of a group remains
@@ -832,8 +837,11 @@ def without_overlaps_of_walls(
         if group.fixed or name in given or not len(own) or region_of(group) is None:
             continue
         count = len(own)
-        for wall, overlap in _overlaps(plan.walls, name, (bodies[0], bodies[1]), 0.0, times):
-            inside = own[overlap > scene.numerics.intended_overlap]
+        for wall, overlap, local in _overlaps(plan.walls, name, (bodies[0], bodies[1]), 0.0, times):
+            enclosed = wall.surface.encloses(local[:, 0])
+            if enclosed.mean() > CONTAINED:
+                enclosed[:] = False
+            inside = own[enclosed | (overlap > scene.numerics.intended_overlap)]
             left_out = int(remains[inside].sum())
             remains[inside] = False
             left = int(remains[own].sum())
@@ -867,7 +875,7 @@ def particle_warnings(plan: Plan, particles: ParticleData) -> Iterator[str]:
     for (name, group), (own, *bodies) in zip(scene.particles.items(), placed, strict=True):
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
-        for wall, overlap in _overlaps(plan.walls, name, (bodies[0], bodies[1]), 0.0, times):
+        for wall, overlap, _ in _overlaps(plan.walls, name, (bodies[0], bodies[1]), 0.0, times):
             count = int((overlap > scene.numerics.intended_overlap).sum())
             if count:
                 worst = int(overlap.argmax())
@@ -885,9 +893,9 @@ def _overlaps(
     bodies: tuple[np.ndarray, np.ndarray],
     time: float,
     times: StageTimes,
-) -> Iterator[tuple[PlannedWall, np.ndarray]]:
+) -> Iterator[tuple[PlannedWall, np.ndarray, np.ndarray]]:
     """For each wall that is present at `time` [s] and holds a group: largest overlap over the radius (n,) of
-    the spheres of a particle.
+    the spheres of a particle, and their centers (n, k, 3) [m] in the frame of the wall at rest.
 
     `bodies`: centers (n, k, 3) [m] and radii (n, k) [m] of spheres.
     """
@@ -900,4 +908,4 @@ def _overlaps(
             at = poses_at([each.at(begun) for each in wall.motions], np.array([time]))
             local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
             overlap = 1.0 - wall.surface.distances(local, float(radius.max())) / radius
-            yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
+            yield wall, overlap.reshape(bodies[1].shape).max(axis=1), local.reshape(bodies[0].shape)

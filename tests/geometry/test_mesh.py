@@ -232,3 +232,20 @@ def test_a_mesh_file_has_as_many_triangles_as_it_declares(tmp_path, name):
         return
     with pytest.raises(FormatError, match=reason):
         read_triangles(tmp_path / name)
+
+
+def test_points_inside_a_closed_mesh_are_enclosed():
+    """A cube, also on the lattice of its corners, and a cube with a cavity; an open sheet encloses nothing."""
+    points, corners = cube()
+    lattice = np.stack(np.meshgrid(*[np.linspace(-0.5, 1.5, 9)] * 3), axis=-1).reshape(-1, 3)
+    at = np.concatenate([lattice, np.random.default_rng(2).uniform(-0.5, 1.5, (3000, 3))])
+    in_cube = ((at > 0.0) & (at < 1.0)).all(axis=1)
+    on_face = ((at >= 0.0) & (at <= 1.0)).all(axis=1) & ~in_cube
+    assert (mesh(points, corners).encloses(at) == in_cube)[~on_face].all() and in_cube.sum() > 300
+    hollow = mesh(
+        np.concatenate([points, 0.25 + 0.5 * points]), np.concatenate([corners, corners[:, ::-1] + 8])
+    )
+    in_cavity = ((at >= 0.25) & (at <= 0.75)).all(axis=1)
+    edges = ((at == 0.25) | (at == 0.75)).any(axis=1) & in_cavity
+    assert (hollow.encloses(at) == (in_cube & ~in_cavity))[~on_face & ~edges].all()
+    assert not mesh(*sheet(3)).encloses(at).any()

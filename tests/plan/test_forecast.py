@@ -5,6 +5,7 @@ import re
 from math import log, pi, sqrt
 
 import pytest
+from geometry.meshes import cube, write
 from plan.scenes import TEXT, scene_of
 from scene_builders import build_scene, particle_group, plane
 from scipy.integrate import solve_ivp
@@ -308,6 +309,24 @@ def test_particles_of_a_packing_that_overlap_a_wall_are_left_out(tmp_path):
     higher = plan_for(scene_of(tmp_path, packing, f"walls.plate={PLATE.replace('5 mm', '10 mm')}"))
     particles, _, warnings = initial_state(higher, None, None)
     assert len(particles) == 10 and warnings == []
+
+
+@pytest.mark.parametrize(("size", "center"), [(0.012, 0.01), (0.05, 0.0)])
+def test_packing_leaves_out_the_inside_of_a_solid_body_but_not_of_a_container(tmp_path, size, center):
+    """A closed cube of 12 mm with space for whole particles of 2 mm inside, and one of 50 mm around all."""
+    points, corners = cube()
+    write(tmp_path / "body.stl", size * (points - 0.5) + center, corners)
+    body = "walls.body={shape: mesh, file: body.stl, material: glass}"
+    beads = [f"particles.beads.{key}" for key in ("count=600", "diameter=2 mm", "insert.kind=pack")]
+    box = "particles.beads.insert.region.box={min: [0, 0, 0], max: [2 cm, 2 cm, 2 cm]}"
+    plan = plan_for(scene_of(tmp_path, body, *beads, box, "walls.floor.point=[0, 0, -1 cm]"))
+    particles, _, warnings = initial_state(plan, None, None)
+    outside = abs(particles.position - center).max(axis=1) >= 0.5 * size + 0.9e-3
+    if size < 0.02:
+        corner = abs(particles.position - center).max(axis=1) < 0.5 * size  # near an edge or corner: outside
+        assert not corner.any() and 300 < len(particles) < 600 and "overlap walls.body" in warnings[0]
+    else:
+        assert len(particles) == 600 and warnings == [] and not outside.any()
 
 
 def test_packing_behind_a_wall_is_refused(tmp_path):
