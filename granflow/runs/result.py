@@ -410,6 +410,9 @@ _WORDS = {
     "residence_time": "residence time, mean by number",
     "residence_time_deviation": "residence time, deviation by number",
     "residence_mean": "residence time, mean by mass",
+    "residing_mass": "hold-up",
+    "residing_mass_mean": "hold-up, mean of the last stage",
+    "residing_count_mean": "residing count, mean of the last stage",
     "residence_deviation": "residence time, deviation by mass",
 }
 """Words for numbers whose names do not tell how they differ."""
