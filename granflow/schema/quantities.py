@@ -254,15 +254,8 @@ Direction = Annotated[
     tuple[Plain, Plain, Plain],
     _vector,
     AfterValidator(require(any, "a direction must not be the zero vector; give one such as [0, 0, 1]")),
-    AfterValidator(
-        require(
-            lambda vector: max(map(abs, vector)) >= 1e-100,
-            "the largest component of a direction must be at least 1e-100; give one such as [0, 0, 1]",
-        )
-    ),
 ]
-"""Vector (3,), not the zero vector; its length does not matter, but the square of the length must not
-underflow."""
+"""Vector (3,), not the zero vector; its length does not matter."""
 
 
 # Numbers that keep the unit in which they are given: the bounds of a varied key, measured values

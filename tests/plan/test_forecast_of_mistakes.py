@@ -321,3 +321,11 @@ def test_stage_without_a_row_for_its_condition_is_reported(tmp_path, interval, i
     scene = scene_of(tmp_path, stages, f"output.timeseries_interval={interval}", text=text)
     found = [each for each in warnings_of(scene) if "is evaluated at the rows of the time series" in each]
     assert len(found) == is_reported
+
+
+@pytest.mark.parametrize("key", ["gravity=[0, 0, -1e-300]", "pairs.glass-glass.restitution=1e-300"])
+def test_numbers_whose_square_underflows_are_zero(tmp_path, key):
+    """A gravity of 1e-300 has no direction in double precision, and a restitution of 1e-300 no damping."""
+    scene = scene_of(tmp_path, key)
+    assert scene == scene_of(tmp_path, key.replace("-1e-300", "0").replace("1e-300", "0"))
+    assert plan_for(scene).time_step > 0.0

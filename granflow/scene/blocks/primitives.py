@@ -53,10 +53,6 @@ class CylinderShape(Axial):
     radius: q.PositiveLength = Field(description="radius [m]")
 
 
-SHORTEST_SIDE = 1e-100
-"""Length [m] of which the square does not underflow."""
-
-
 class Rectangular(Model):
     """A flat rectangle with one corner and two edge vectors [m]."""
 
@@ -71,9 +67,7 @@ class Rectangular(Model):
         for i, length in enumerate(lengths):
             if length == 0:
                 yield Fault(("sides", i), "a side must not be the zero vector")
-            elif length < SHORTEST_SIDE:
-                yield Fault(("sides", i), f"a side must be at least {SHORTEST_SIDE:g} m long")
-        if min(lengths) >= SHORTEST_SIDE and not are_perpendicular(a, b):
+        if all(lengths) and not are_perpendicular(a, b):
             product = sum(x * y for x, y in zip(a, b, strict=True))
             angle = math.degrees(math.acos(product / (lengths[0] * lengths[1])))
             across = [y - product / lengths[0] ** 2 * x for x, y in zip(a, b, strict=True)]
