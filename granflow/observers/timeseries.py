@@ -186,7 +186,7 @@ class TimeSeries(ScheduledObserver):
         return results
 
     def remarks(self) -> list[str]:
-        """Return sentences on metrics and flow meters, such as the reason why the last value of one is NaN."""
+        """Return sentences on metrics and flow meters, such as the reason why a last value is NaN."""
         found = {
             f"{kind}.{name}": [meter.total.remark] if isinstance(meter, FlowCounter) else meter.remarks()
             for kind, meters in self.meters.items()

@@ -16,9 +16,9 @@ from granflow.arguments import refuse_other
 from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene
 from granflow.plan.cost import (
-    TYPICAL_PARTICLE_STEPS_PER_SECOND,
     MemoryEstimate,
     estimate_memory,
+    typical_rate,
     typical_run_time,
 )
 from granflow.plan.features import Reason
@@ -290,7 +290,9 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield ExplainRow("steps", f"{prefix}{count(steps)}", "")
     frames = int(longest / plan.scene.output.interval) + 1
     yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {plan.scene.output.interval:g} s")
-    rate = f"{TYPICAL_PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU"
+    per_second, slowed = typical_rate(plan)
+    causes = f" ({', '.join(slowed)})" if slowed else ""
+    rate = f"{per_second / 1e6:.2g} million particle-steps per second on a CPU{causes}"
     yield ExplainRow("run time", f"about {duration(typical_run_time(plan))}", f"at {rate}{stages_at_most}")
 
 

@@ -4,12 +4,13 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from geometry.meshes import sheet, write
 from plan.scenes import scene_of
 from subprocess_runner import each_in_subprocess
 
 from granflow.load import load_scene
 from granflow.plan.build import plan_for
-from granflow.plan.cost import estimate_memory
+from granflow.plan.cost import estimate_memory, typical_rate
 from granflow.plan.explain import WIDTH, duration, explain, feature_label, size
 from granflow.plan.features import Features
 
@@ -145,3 +146,25 @@ def test_conducting_materials_without_their_real_modulus_are_listed():
     found = [plan_for(load_scene(folder / f"{name}.yaml")) for name in ("heat_conduction", "heat_bed")]
     first, second = ([each for each in plan.forecasts if "areas" in each.name] for plan in found)
     assert [each.value for each in first] == ["of 10 MPa"] and first[0].warning is None and not second
+
+
+RODS = (
+    "particles.beads={material: glass, count: 10, clump: {spheres: [{position: [0, 0, 0], radius: 1 mm}, "
+    "{position: [1 mm, 0, 0], radius: 1 mm}]}, insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: "
+    "[2 cm, 2 cm, 2 cm]}}}}"
+)
+
+
+@pytest.mark.parametrize(("change", "factor", "cause"), [
+    ("title=Beads", 1.0, None),
+    (RODS, 3.5, "clumps"),
+    ("walls.floor={shape: mesh, file: floor.stl, material: glass}", 1.0 + 0.3 * 4.0 / 2.0, "triangles of meshes"),
+])  # fmt: skip
+def test_typical_rate_depends_on_the_features_that_cost_most(tmp_path, change, factor, cause):
+    """The floor has legs of 2 mm, half of the diameter of the particles."""
+    points, corners = sheet(20, size=0.04)
+    write(tmp_path / "floor.stl", points, corners)
+    plan = plan_for(scene_of(tmp_path, change))
+    rate, causes = typical_rate(plan)
+    assert rate == pytest.approx(5e6 / factor, rel=1e-3) and causes == ((cause,) if cause else ())
+    assert (cause or "on a CPU") in explain(plan)
