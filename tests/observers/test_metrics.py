@@ -163,6 +163,20 @@ def test_slope_does_not_depend_on_a_region_that_cuts_columns():
     assert slope.error < np.radians(2.0)
 
 
+def test_a_crest_in_the_region_is_a_curved_surface():
+    """A flank of 30 degrees with tops that scatter by a tenth of a column, alone and with a level crest as
+    long as the flank: the plane through both has about half of the gradient."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(20) + 0.5, np.arange(6) + 0.5))
+    found = []
+    for seed in range(100):
+        scatter = np.random.default_rng(seed).normal(0.0, 0.1, len(x))
+        for begin in (0.0, 10.0):
+            height = 20.0 - np.tan(np.radians(30.0)) * np.maximum(x - begin, 0.0) + scatter
+            found.append(slope_of_plane(np.column_stack([x, y, height]), np.full(len(x), 0.5), 1.0))
+    assert not any(slope.remark for slope in found[::2])
+    assert all("the surface is curved: the plane has 1" in slope.remark for slope in found[1::2])
+
+
 @pytest.mark.parametrize(("columns", "share"), [(4, 0.05), (10, 0.016), (100, 4e-4)])
 def test_rough_level_surface_is_not_a_slope(columns, share):
     """Tops of a block with independent heights: the share that is taken for a slope, within four standard

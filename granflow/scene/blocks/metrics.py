@@ -463,12 +463,14 @@ RELATIVE_ERROR = 0.25
 class Slope:
     """Angle to the horizontal and its standard error from the scatter about the fit [rad].
 
-    Both are NaN if the surface has no slope; `reason` is then a sentence.
+    Both are NaN if the surface has no slope; `reason` is then a sentence. `remark`: a sentence on a doubtful
+    slope.
     """
 
     angle: float
     error: float
     reason: str = ""
+    remark: str = ""
 
 
 def no_slope(reason: str) -> Slope:
@@ -508,12 +510,56 @@ def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope
 
     `edge` [m]: of the columns. For one side of a wedge, or for the middle of a drum. NaN without particles,
     with fewer than FEWEST surface points, if these lie on a line, or if the fit is not significant, see
-    `_slope`.
+    `_slope`. The remark of a curved surface says how steep its steepest part is, see `_steepest`.
     """
     if not len(points):
         return no_slope("there are no particles with enough contacts in the region")
     surface = surface_points(points, radius, edge)
-    return _slope(surface[:, :2], surface[:, 2])
+    slope = _slope(surface[:, :2], surface[:, 2])
+    steepest = _steepest(surface[:, :2], surface[:, 2]) if not slope.reason else None
+    if steepest is None or steepest - slope.angle < CURVED:
+        return slope
+    return replace(
+        slope,
+        remark=(
+            f"the surface is curved: the plane has {np.rad2deg(slope.angle):.3g} deg, the steepest part of "
+            f"the surface {np.rad2deg(steepest):.3g} deg. A crest or a foot inside the region lowers the "
+            "angle; choose a region on the straight part"
+        ),
+    )
+
+
+CURVED = np.deg2rad(4.0)
+"""Difference [rad] of the steepest part of a surface to its plane from which a remark says so."""
+INNER = 0.8
+"""Share of the extent of a surface in which its steepest part is searched: at its ends, a cubic has the
+largest error."""
+
+
+def _steepest(position: np.ndarray, height: np.ndarray) -> float | None:
+    """Steepest angle [rad] of the surface along the gradient of its plane, of a fitted cubic; None if the
+    cubic is better than the plane by chance in more than one of a thousand plane surfaces (F-test).
+
+    position (n, 2) [m], height (n,) [m]
+    """
+    offsets = position - position.mean(axis=0)
+    plane = np.column_stack([np.ones(len(height)), offsets])
+    found, _, _, _ = np.linalg.lstsq(plane, height, rcond=None)
+    along = found[1:] / np.linalg.norm(found[1:])
+    half = 0.5 * float(np.ptp(offsets @ along))
+    share = offsets @ along / half
+    freedom = len(height) - 5
+    cubic = np.column_stack([plane, share**2, share**3])
+    better, _, rank, _ = np.linalg.lstsq(cubic, height, rcond=None)
+    if freedom < 1 or rank < 5:
+        return None
+    before = float(((height - plane @ found) ** 2).sum())
+    after = float(((height - cubic @ better) ** 2).sum())
+    if not before > 0.0 or not _chance(after / before, 2, freedom) < 0.001:
+        return None
+    places = np.linspace(-INNER, INNER, 33)
+    slopes = better[1:3] @ along + (2.0 * better[3] * places + 3.0 * better[4] * places**2) / half
+    return float(np.arctan(slopes.max()))
 
 
 def column_edge(radius: np.ndarray) -> float:
@@ -670,7 +716,8 @@ class ReposeMetric(Metric):
         else:
             slope = slope_of_plane(points, heap["radius"], edge)
         numbers = {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
-        return Reading(numbers, slope.reason and f"the angle of repose is NaN: {slope.reason}")
+        why = slope.reason and f"the angle of repose is NaN: {slope.reason}"
+        return Reading(numbers, why or slope.remark)
 
 
 # Height of a bed or heap
