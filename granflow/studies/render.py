@@ -397,7 +397,7 @@ class Scale:
 
 PERCENTILES = (1.0, 99.0)
 """Percentiles of all values in all frames that limit the range; values beyond have the color of the limit."""
-FROM_ZERO = 0.5
+FROM_ZERO = 0.25
 """A range begins at 0 if its lower limit is below this fraction of the upper one."""
 
 
