@@ -15,6 +15,7 @@ from granflow.importing import (
     meshes,
     motion,
     multisphere,
+    region_walls,
     regions,
     restart,
     schedule,
@@ -323,6 +324,7 @@ def _draft(deck: Deck, path: Path) -> Draft:
         )
     draft = Draft(with_files=len({each.command.file for each in deck.report.entries}) > 1)
     draft.put(("title",), path.name)
+    region_walls.note_jumps(deck)
     start.add_points(deck, draft)
     insertion.collect(deck)
     tell_inserted(deck)

@@ -581,7 +581,8 @@ class Amount:
         lasting = (given.duration or 0) * step or every
         self.fix.entry.approximated(
             f"particles appear at the face at a constant rate; the script has them up to "
-            f"{lasting * speed:.3g} m before it, where they move with constant velocity"
+            f"{lasting * speed:.3g} m before it, where they move with constant velocity, so that its counts "
+            f"include up to {self._batch(every):.0f} particles before the face"
             + (f", and a batch passes in {lasting:.3g} s of every {every:.3g} s" if lasting < every else "")
         )
         box = np.array(deck.box or (-inf, inf) * 3).reshape(3, 2)
@@ -592,6 +593,14 @@ class Amount:
             )
         moved = face.moved(-min(radius, face.room(-face.normal, box)))
         return moved.enlarged(0.0 if given.all_in else radius, box).inlet(), radius / speed
+
+    def _batch(self, every: float) -> float:
+        """Particles of this part that the script inserts at once every `every` [s]."""
+        given, distribution = self.given, self.given.distribution
+        rate = given.rate or (given.mass_rate or 0.0) / distribution.mean_mass
+        most = inf if given.count is None else given.count
+        most = min(most, inf if given.mass is None else given.mass / distribution.mean_mass)
+        return min(rate * every, most) * self.share
 
     def _total(self) -> dict[str, Any]:
         """The total count or mass; empty for an insertion without end."""

@@ -427,7 +427,7 @@ def region_motions(
     deck: Deck, draft: Draft, motion: RegionMotion, runs: Sequence[Run], when: dict[str, Any], wall: str
 ) -> tuple[Pose, list[dict[str, Any]]]:
     """The pose of a region at the start of some runs, and the key motion of its walls from then on."""
-    times, values = motion.track.over(list(runs))
+    times, values = motion.over(list(runs))
     if not len(times):
         return Pose(0.0, np.zeros(3)), []
     length = deck.si(1.0, "length")

@@ -288,7 +288,39 @@ def _jumps(region: Region, before: Run, after: Run) -> bool:
         return False
     track = region.motion.track
     last, first = track.over([before])[1][-1:], track.over([after])[1][:1]
-    return len(last) == len(first) == 1 and bool(np.abs(first - last).max() > 1e-6)
+    kept = 3 if region.motion.is_symmetric else 4  # the angle of a surface of revolution may jump
+    return len(last) == len(first) == 1 and bool(np.abs(first - last)[:, :kept].max() > 1e-6)
+
+
+def note_jumps(deck: Deck) -> None:
+    """Begin a stage where the region of a wall jumps between two runs."""
+    for fix in deck.fixes_of("wall/gran/region"):
+        if not isinstance(fix.data, RegionWall):
+            continue
+        for region in deck.own("all_regions", list):
+            if region.motion is not None:
+                region.motion.is_symmetric = _is_symmetric(region)
+        for episode in episodes(deck, fix, fix.data.region)[1:]:
+            deck.own("changes", set).add(episode.runs[0].start)
+
+
+def _is_symmetric(region: Region) -> bool:
+    """Whether the rotation of a region does not change its surface."""
+    n = np.array(region.numbers)
+    center = np.array(region.motion.point)
+    if region.kind in ("cylinder", "cone"):
+        k = "xyz".index(region.axis)
+        own = np.eye(3)[k]
+        center[[i for i in range(3) if i != k]] = n[:2]
+    elif region.kind == "plane":
+        own = n[3:6] / np.linalg.norm(n[3:6])
+    elif region.kind == "sphere":
+        own, center = np.array(region.motion.axis), n[:3]
+    else:
+        return False
+    away = np.cross(center - np.array(region.motion.point), region.motion.axis)
+    tilt = np.cross(own, region.motion.axis)
+    return bool(np.abs(tilt).max() < 1e-9 and np.abs(away).max() < 1e-9)
 
 
 def build(deck: Deck, draft: Draft, fix: Fix, wall: RegionWall) -> None:

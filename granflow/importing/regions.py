@@ -80,8 +80,9 @@ class Track:
         }
         return deck.interpreter.value_at(name, **facts)
 
-    def over(self, runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
-        """Times [s] and values of some runs, one after the other."""
+    def over(self, runs: list[Run], continuous: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and values of some runs, one after the other; those of the variables with the numbers
+        `continuous` continue at the beginning of a run from the end of the one before."""
         chosen = [
             (run.start + times, values)
             for run in runs
@@ -90,7 +91,13 @@ class Track:
         ]
         if not chosen:
             return np.zeros(0), np.zeros((0, len(self.names)))
-        return np.concatenate([t for t, _ in chosen]), np.concatenate([v for _, v in chosen])
+        parts: list[np.ndarray] = []
+        for _, values in chosen:
+            moved = values.copy()
+            for k in continuous if parts else ():
+                moved[:, k] += parts[-1][-1, k] - values[0, k]
+            parts.append(moved)
+        return np.concatenate([t for t, _ in chosen]), np.concatenate(parts)
 
 
 @dataclass
@@ -103,6 +110,13 @@ class RegionMotion:
     track: Track
     point: Vector = (0.0, 0.0, 0.0)
     axis: Vector = (0.0, 0.0, 1.0)
+    is_symmetric: bool = False
+    """Whether the rotation does not change the surface, as that of a cylinder about itself: its angle may
+    jump, for example with `elapsed`, which begins at 0 in each run."""
+
+    def over(self, runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and values (n, 4) of the track; the angle of a surface of revolution does not jump."""
+        return self.track.over(runs, (3,) if self.is_symmetric else ())
 
 
 def variable_name(command: Command, word: str) -> str:

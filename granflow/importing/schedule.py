@@ -334,6 +334,8 @@ COMPUTES = {
     **dict.fromkeys(("pe", "pe/atom", "ke/atom", "erotate/sphere/atom"), "output.energy_budget has energies"),
     **dict.fromkeys(("reduce", "reduce/region", "property/atom", "property/local", "property/molecule"),
                     "the particle files have these properties"),
+    **dict.fromkeys(("chunk/atom", "temp/chunk", "com/chunk", "vcm/chunk", "property/chunk", "reduce/chunk"),
+                    "output.fields has averages on a grid"),
     **dict.fromkeys(("contact/atom", "coord/gran"), "a metric has the number of contacts"),
     **dict.fromkeys(("pair/gran/local", "wall/gran/local", "pair/local"),
                     "output.contacts writes the contacts with their forces"),

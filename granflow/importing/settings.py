@@ -71,6 +71,8 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
         key = words.word("a keyword")
         if key == "type":
             points.type[chosen] = words.type()
+        elif key in ("type/fraction", "type/ratio", "type/subset"):
+            _set_types(words, points, chosen, entry, key)
         elif key == "diameter":
             points.radius[chosen] = 0.5 * words.positive("the diameter", "length")
         elif key == "density":
@@ -87,6 +89,27 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
             entry.impossible(f"the keyword {key} of set")
             words.skip()
     entry.translated("particles")
+
+
+def _set_types(words: Words, points: Points, chosen: np.ndarray, entry: Entry, key: str) -> None:
+    """type/fraction and type/ratio TYPE SHARE SEED, type/subset TYPE COUNT SEED: random particles."""
+    type = words.type()
+    numbers = np.arange(len(points.type))[chosen]
+    if key == "type/subset":
+        count = words.whole_between("the number of particles", 0, len(numbers))
+        share = 0.0
+    else:
+        share = words.number("the share")
+        if not 0.0 <= share <= 1.0:
+            raise DeckError(words.command, f"the share is {share:g}; give one from 0 to 1, such as 0.5.")
+        count = round(share * len(numbers))
+    random = np.random.default_rng(words.whole_between("the seed"))
+    if key == "type/fraction":
+        taken = numbers[random.random(len(numbers)) < share]
+    else:
+        taken = random.choice(numbers, count, replace=False)
+    points.type[taken] = type
+    entry.approximated("the particles of the type are other random ones than those of the code")
 
 
 def _value_of(deck: Deck, command: Command, word: str) -> str:

@@ -569,6 +569,27 @@ def test_region_that_turns_between_runs(tmp_path):
     assert found.report.is_complete
 
 
+@pytest.mark.parametrize(
+    ("shape", "point", "stages"),
+    [
+        ("cylinder y 0.05 0.1 0.04 INF INF", "0.05 0 0.1", [None]),
+        ("block 0.01 0.09 INF INF 0.05 0.15", "0.05 0 0.1", ["stage_1", "stage_2"]),
+        ("cylinder y 0.06 0.1 0.03 INF INF", "0.05 0 0.1", ["stage_1", "stage_2"]),
+    ],
+)
+def test_angle_that_begins_again_with_each_run(tmp_path, shape, point, stages):
+    """The step `elapsed` is 0 at the beginning of a run. A cylinder about its own axis turns on at 2 rad/s, as one
+    wall; another region jumps by 0.04 rad, and is a wall of its own in each run."""
+    walls = (
+        f"variable theta equal 2*elapsed*dt\nregion r {shape} rotate v_theta {point} 0 1 0\n"
+        f"fix w all wall/gran/region {HOOKE} region r\nrun 2000\nrun 2000"
+    )
+    _, scene = imported(tmp_path, lammps(walls))
+    found = list(scene["walls"].values())
+    assert [each.get("stages", [None])[0] for each in found] == stages
+    assert {each["motion"]["angular_velocity"] for each in found} == {"2 rad/s"}
+
+
 def test_length_of_the_axis_of_a_region(tmp_path):
     walls = (
         "variable t equal step*dt\nregion r block 0 0.1 0 0.1 0 0.2 rotate v_t 0.05 0.05 0.1 0 3 4\n"
@@ -765,6 +786,21 @@ def test_particles_on_a_lattice_of_its_own(tmp_path, width):
     assert {tuple(row) for row in points.round(9).tolist()} == {
         tuple(round(each, 9) for each in row) for row in expected
     }
+
+
+@pytest.mark.parametrize(
+    ("words", "count"), [("type/subset 2 10 777", 10), ("type/ratio 2 0.25 777", 9), ("type/fraction 2 1 777", 36)]
+)  # fmt: skip
+def test_random_types(tmp_path, words, count):
+    """Of 36 particles; a ratio is exact, each particle has the type with the probability of a fraction."""
+    text = CUSTOM.format(width=0.1, more="origin 0.1 0.1 0.1", units="units box")
+    text = text.replace("create_box 1", "create_box 2").replace(
+        "pair_style", f"set group all {words}\npair_style"
+    )
+    found, scene = imported(tmp_path, text)
+    rows = {name: len(data.decode().splitlines()) - 1 for name, data in found.files.items()}
+    assert rows.get("type1.csv", 0) == 36 - count and rows["type2.csv"] == count
+    assert {each["material"] for each in scene["particles"].values()} >= {"type2"}
 
 
 def test_lengths_in_units_of_a_lattice_with_three_lengths(tmp_path):
