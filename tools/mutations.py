@@ -7,9 +7,10 @@
 `draw` chooses statements, operators, numbers and conditions of the core at random, each place with the same
 probability, and one error at each place: the operators of Cosmic Ray (`pip install cosmic-ray`), and the
 removal of a statement. `run` inserts one error at a time into a copy of the clone, runs pytest there, and
-appends the tests that fail; a repetition goes on where the last one ended. With `-x` among the arguments, it
-only finds whether an error is detected. `cover` names the tests that suffice for all detected errors, by
-their time (a file written by `pytest --durations=0 --durations-min=0`), and the rate of detection.
+appends the tests that fail; a repetition goes on where the last one ended. Test files that name the module
+of the error run first, then those of its part; with `-x` among the arguments, `run` thus soon knows whether
+an error is detected. `cover` names the tests that suffice for all detected errors, by their time (a file
+written by `pytest --durations=0 --durations-min=0`), and the rate of detection.
 """
 
 import argparse
@@ -131,6 +132,19 @@ def mutated(source: str, mutation: dict) -> str:
     return MutationVisitor.mutate_code(source, operators()[mutation["operator"]], mutation["occurrence"])
 
 
+def nearest_first(copy: Path, file: str) -> list[str]:
+    """Test files: those that name the module of a source file, those of its part, all others."""
+    module = file.removesuffix(".py").replace("/", ".")
+
+    def distance(path: Path) -> int:
+        if module in path.read_text(encoding="utf-8"):
+            return 0
+        return 1 if path.parent.name == Path(file).parts[1] else 2
+
+    paths = sorted((copy / "tests").rglob("test_*.py"))
+    return [path.relative_to(copy).as_posix() for path in sorted(paths, key=distance)]
+
+
 def failed_tests(copy: Path, arguments: Iterable[str]) -> list[str]:
     """Tests of a copy of the clone that fail; "" for a failure outside of the tests or a timeout."""
     environment = os.environ | {"PYTHONPATH": str(copy), "GRANFLOW_CACHE": str(copy / "kernels")}
@@ -156,7 +170,9 @@ def run(mutations: list[dict], results: Path, arguments: list[str]) -> None:
             path = Path(folder, mutation["file"])
             source = path.read_text(encoding="utf-8")
             write_later(path, mutated(source, mutation))
-            failed = failed_tests(Path(folder), arguments)
+            chosen = any(each.startswith("tests") for each in arguments)
+            order = [] if chosen else nearest_first(Path(folder), mutation["file"])
+            failed = failed_tests(Path(folder), [*arguments, *order])
             write_later(path, source)
             with results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(mutation | {"failed": failed}) + "\n")
