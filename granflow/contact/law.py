@@ -194,6 +194,12 @@ class Law(DeviceObject):
     wall_properties: ClassVar[type[WallProperties]] = WallProperties
     """Class of the keys of a wall that `wall_flow` reads."""
 
+    @property
+    def relative_cost(self) -> float:
+        """Typical duration of a step over that of one without the model, for estimates of run times; 1 if it
+        is less than 2."""
+        return 1.0
+
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
         """The law that a scene requests; without options every scene has the same."""

@@ -314,9 +314,6 @@ def typical_run_time(plan: Plan) -> float:
 
 SLOW_CLUMPS = 3.5
 """Duration of a step with clumps of three spheres over that of as many single spheres (measured)."""
-SLOW_RANGE = 3.5
-"""Duration of a step with a force or a flow between separated particles, as of JKR or conduction in a gas,
-over that of one without (measured: 3.5, 3.7)."""
 SLOW_TRIANGLES = 0.3
 """Increase of the duration of a step by a mesh on which the particles lie, for triangles of the size of the
 particles; it is proportional to diameter over edge (measured: 1.2 and 2.6 times at 0.9 and 5.3)."""
@@ -330,8 +327,11 @@ def typical_rate(plan: Plan) -> tuple[float, tuple[str, ...]]:
     factors = []
     if plan.features.clumps:
         factors.append((SLOW_CLUMPS, "clumps"))
-    if plan.laws.range > 0.0:
-        factors.append((SLOW_RANGE, "forces or flows at a distance"))
+    factors += [
+        (law.relative_cost, f"{slot} {law.name}")
+        for slot, law in plan.laws.by_slot.items()
+        if law.relative_cost > 1.0
+    ]
     edges = [mesh.typical_edge for mesh in plan.meshes.values()]
     if edges:
         mesh_factor = 1.0 + SLOW_TRIANGLES * 2.0 * plan.radius_min / min(edges)

@@ -158,13 +158,15 @@ RODS = (
 @pytest.mark.parametrize(("change", "factor", "cause"), [
     ("title=Beads", 1.0, None),
     (RODS, 3.5, "clumps"),
+    ("contact.cohesion=jkr, pairs.glass-glass.work_of_adhesion=0.1, pairs.glass-steel.work_of_adhesion=0", 4.5, "cohesion jkr"),
     ("walls.floor={shape: mesh, file: floor.stl, material: glass}", 1.0 + 0.3 * 4.0 / 2.0, "triangles of meshes"),
 ])  # fmt: skip
 def test_typical_rate_depends_on_the_features_that_cost_most(tmp_path, change, factor, cause):
     """The floor has legs of 2 mm, half of the diameter of the particles."""
     points, corners = sheet(20, size=0.04)
     write(tmp_path / "floor.stl", points, corners)
-    plan = plan_for(scene_of(tmp_path, change))
+    changes = change.split(", ") if change.startswith("contact") else [change]
+    plan = plan_for(scene_of(tmp_path, *changes))
     rate, causes = typical_rate(plan)
     assert rate == pytest.approx(5e6 / factor, rel=1e-3) and causes == ((cause,) if cause else ())
     assert (cause or "on a CPU") in explain(plan)
