@@ -307,6 +307,20 @@ def test_calibration_continues_after_a_full_disk_and_reports_conflicting_targets
     assert sentence.startswith("energy and other conflict: of ") and sentence.endswith("but none meets both.")
 
 
+def test_a_target_that_no_trial_reaches_is_named_first(tmp_path, stand_in):
+    """The sum e + mu of the stand-in is at most 2 within any bounds of e and mu up to 1."""
+    pytest.importorskip("optuna")
+    text = CALIBRATION.replace("value: 1 mJ, tolerance: 10 uJ", "value: 2.5, tolerance: 0.1")
+    result = run_calibration(read_calibration(written(tmp_path, text)), tmp_path / "out", jobs=1)
+    values = [trial.user_attrs["simulated"]["energy"] for trial in result.trials]
+    (sentence,) = result.out_of_reach
+    assert result.remarks[0] == sentence
+    assert sentence.startswith(
+        f"energy is out of reach: in all 12 trials kinetic_energy is below the measured 2.5 J, from "
+        f"{min(values):.5g} J to {max(values):.5g} J, at best by {(2.5 - max(values)) / 0.1:.2g} tolerances."
+    )
+
+
 def target(folder, **more):
     given = {"scene": "a", "quantity": "flow_mass.out", "tolerance": 0.5, "weight": 3.0, **more}
     return read_target(Target.model_validate(given), folder, "x:1:1")

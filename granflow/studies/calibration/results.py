@@ -99,7 +99,8 @@ class BestTarget(NamedTuple):
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """Best values, targets, sentences on conflicts, and all trials of Optuna; `loss`: the smallest one.
+    """Best values, targets, sentences on targets that no trial reaches and on conflicts, and all trials of
+    Optuna; `loss`: the smallest one.
 
     `warnings`: of the runs of the best trial.
     """
@@ -107,16 +108,18 @@ class CalibrationResult:
     loss: float
     parameters: tuple[BestValue, ...]
     targets: tuple[BestTarget, ...]
+    out_of_reach: tuple[str, ...]
     conflicts: tuple[str, ...]
     trials: tuple[Any, ...]
     warnings: tuple[str, ...] = ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on parameters that are not identified, on scatter above a tolerance, on conflicts, and
-        warnings."""
+        """Sentences on targets out of reach, on parameters that are not identified, on scatter above a
+        tolerance, on conflicts, and warnings."""
         unidentified = [each.not_identified for each in self.parameters if each.not_identified]
         return (
+            *self.out_of_reach,
             *unidentified,
             *(each.noise for each in self.targets if each.noise),
             *self.conflicts,
@@ -142,6 +145,7 @@ def result_of(search: Search, targets: Mapping[str, Measured]) -> CalibrationRes
         completed[best].value,
         parameters,
         tuple(found),
+        tuple(_out_of_reach(targets, completed)),
         tuple(_conflicts(targets, completed)),
         trials,
         warnings_of_trial(completed[best]),
@@ -178,8 +182,8 @@ def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[Be
             if line is not None and len(completed) < enough:
                 sentence += (
                     f" {len(completed)} completed trials are few: an effect must be {line.least_ratio:.2g} "
-                    f"times its standard error, with many trials 3 times. Raise search.trials to {enough} or "
-                    "more."
+                    "times its standard error, with many trials 3 times. Raise search.trials until "
+                    f"{enough} or more are completed."
                 )
         optimum = nan if sentence else from_unit(each, float(optima[k]))
         error = deviation_in_units(each, values[name], float(deviations[k]))
@@ -200,6 +204,35 @@ def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
         shown += f" \N{PLUS-MINUS SIGN} {error * measured.target.tolerance / measured.factor:.2g}"
     given = "curve" if measured.time is not None else given_text(measured, value, quantity)
     return BestTarget(name, quantity, value, simulated, size, error, (given, shown))
+
+
+FEWEST_OF_REACH = 5
+"""Smallest number of completed trials for a statement on targets out of reach."""
+
+
+def _out_of_reach(targets: Mapping[str, Measured], completed: Sequence[Any]) -> list[str]:
+    """Sentences on targets whose simulated values in all trials are on one side of the measured value, beyond
+    its tolerance."""
+    if len(completed) < FEWEST_OF_REACH:
+        return []
+    found = []
+    for name, each in targets.items():
+        if each.time is not None:
+            continue
+        measured = float(each.value[0])
+        values = np.array([trial.user_attrs["simulated"][name] for trial in completed])
+        nearest = min(deviation(each, trial.user_attrs["residuals"], name) for trial in completed)
+        side = "below" if values.max() < measured else "above" if values.min() > measured else ""
+        if side and nearest > 1.0:
+            quantity = each.target.quantity
+            ends = [given_text(each, float(end), quantity) for end in (values.min(), values.max())]
+            found.append(
+                f"{name} is out of reach: in all {len(completed)} trials {quantity} is {side} the measured "
+                f"{given_text(each, measured, quantity)}, from {ends[0]} to {ends[1]}, at best by "
+                f"{nearest:.2g} tolerances. Widen the bounds, vary another parameter, or check the scene and "
+                "the measurement."
+            )
+    return found
 
 
 FEWEST_TRIALS = 20
