@@ -313,9 +313,13 @@ def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: flo
             _positions(first, time, corners) - _positions(second, time, corners), axis=1
         ).max()
         if wall.name not in saved["changes"]["walls"] and moved > MAX_JUMP * plan.radius_min:
+            key = f"walls.{wall.name}.motion"
+            count = len(before.walls[wall.name].motion)
             raise GranflowError(
-                f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. "
-                "Terminate the old motion at this time (end:) and add another motion from this time (start:)."
+                f"{key} would displace the wall by {moved:.3g} m at {time:.6g} s. Terminate the old motion "
+                "at this time and add another one from then on: "
+                f"--set {key}.{max(count - 1, 0)}.end={time:.6g}s "
+                f"--set '{key}.{count}={{kind: .., start: {time:.6g} s}}'."
             )
 
 

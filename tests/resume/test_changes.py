@@ -186,7 +186,9 @@ CONTRADICTIONS = {
     "energy_budget was True and would be False": {"output": {"interval": 1.0, "wall_forces": True}},
     "time_step was 1e-05 and would be 5e-06 with this scene": {"run": {"time_step": 5e-6, "velocity_max": 1.0}},
     "friction was True and would be False with this scene": {"friction": 0.0},
-    r"walls.lid.motion would displace the wall by 0.0015 m.*\(start:\)": {"lid_speed": 0.2},
+    r"walls.lid.motion would displace the wall by 0.0015 m.*motion.0.end=.* --set 'walls.lid.motion.1=": {
+        "lid_speed": 0.2
+    },
     r"stages.0.duration is 0.01 s, but at .* stage hold has already lasted 0.015\d* s: give at least this": {
         "stages": [{"name": "hold", "duration": 0.01}, {"name": "fall", "duration": 0.02}]
     },

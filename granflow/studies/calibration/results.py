@@ -174,16 +174,17 @@ def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[Be
                 f"few, at least {fewest_trials(len(parameters))} are needed."
             )
         elif not is_identified(deviations[k]):
-            sentence = (
-                f"{name} cannot be identified from the targets: near the best values, they respond to it "
-                "alone by too little, compared with their tolerances and the scatter between runs."
-            )
             enough = sufficient_trials(len(parameters))
             if line is not None and len(completed) < enough:
-                sentence += (
-                    f" {len(completed)} completed trials are few: an effect must be {line.least_ratio:.2g} "
-                    "times its standard error, with many trials 3 times. Raise search.trials until "
-                    f"{enough} or more are completed."
+                sentence = (
+                    f"{name} cannot be identified from {len(completed)} completed trials: with so few, an "
+                    f"effect must be {line.least_ratio:.2g} times its standard error, with many 3 times. "
+                    f"Raise search.trials until {enough} or more are completed."
+                )
+            else:
+                sentence = (
+                    f"{name} cannot be identified from the targets: near the best values, they respond to it "
+                    "alone by too little, compared with their tolerances and the scatter between runs."
                 )
         optimum = nan if sentence else from_unit(each, float(optima[k]))
         error = deviation_in_units(each, values[name], float(deviations[k]))
