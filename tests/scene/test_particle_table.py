@@ -51,7 +51,11 @@ def test_velocity_angular_velocity_and_material_are_read(tmp_path):
 
 BAD = {
     "x,y,z,r\n0,0,0,1\n0,0,1\n": ["3: the row has 3 values, but the header in line 1 has 4 columns."],
-    "x,y,z,r\n0,0,abc,1\n0,,0,1\n": ["2: z is abc, but a number is", "3: y is empty, but a number is"],
+    "x,y,z,r\n0,0,abc,1\n0,,0,1\n0,0,0,\n": [
+        "2: z is abc, but a number is",
+        "3: y is empty, but a number is",
+        "4: r is empty, but a number is",
+    ],
     "x y z r\n0 nan 0 1\n0 0 0 inf\n": [
         "2: the position is not finite.",
         "3: the radius is not finite.",
