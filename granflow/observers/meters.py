@@ -18,7 +18,7 @@ import numpy as np
 from granflow.arguments import items_of, shown
 from granflow.errors import GranflowError
 from granflow.geometry.periodic_box import PeriodicBox
-from granflow.scene.blocks.output import FlowMeter
+from granflow.scene.blocks.output import FLOW_BLOCKS, FlowMeter
 from granflow.snapshot import Snapshot
 
 # Means over stages
@@ -460,8 +460,6 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
     return 0.0 if window is None else float(0.5 * window.passed / (window.end - window.begin))
 
 
-BLOCKS = 10
-"""Parts of equal duration of the steady window."""
 ROWS_PER_BLOCK = 2
 """Least number of rows of the history in each part: fewer rows do not resolve the parts."""
 
@@ -471,11 +469,11 @@ def steady_flow_error(history: Sequence[tuple[float, str, float]]) -> float:
 
         s / sqrt(n) sqrt((1 + r) / (1 - r))
 
-    s: standard deviation of the means over n = BLOCKS parts of equal duration of the window of `steady_flow`,
-    r: correlation of neighboring parts, if it is positive (Flyvbjerg and Petersen, J. Chem. Phys. 91 (1989)
-    461, discuss block averages). It contains what fluctuates and drifts within one discharge, not how
-    discharges of different packings scatter. `history`: as for `steady_flow`. NaN without flow, or if the
-    window has fewer than ROWS_PER_BLOCK rows for each part.
+    s: standard deviation of the means over n = FLOW_BLOCKS parts of equal duration of the window of
+    `steady_flow`, r: correlation of neighboring parts, if it is positive (Flyvbjerg and Petersen, J.
+    Chem. Phys. 91 (1989) 461, discuss block averages). It contains what fluctuates and drifts within one
+    discharge, not how discharges of different packings scatter. `history`: as for `steady_flow`. NaN
+    without flow, or if the window has fewer than ROWS_PER_BLOCK rows for each part.
 
     >>> uniform = [(0.01 * row, "run", 0.005 * row) for row in range(101)]
     >>> round(gf.steady_flow_error(uniform), 9)
@@ -487,7 +485,7 @@ def steady_flow_error(history: Sequence[tuple[float, str, float]]) -> float:
 
 FEWEST_PASSAGES = 20
 """Passages of a stage from which the flow of its middle half has a standard error below sqrt(2 / 20) = 32 %,
-and each of BLOCKS parts of the window has one on average."""
+and each of FLOW_BLOCKS parts of the window has one on average."""
 FEWEST_OF_STEADY = 4
 """Passages of a stage below which its middle half has less than two: the time between them is no flow."""
 
@@ -507,16 +505,16 @@ def _counting_error(crossings: np.ndarray, mass: float) -> float:
 def _block_error(begin: float, end: float, time: np.ndarray, mass: np.ndarray) -> float:
     """Standard error [kg/s] of the mean flow from `begin` to `end` [s] from its fluctuation, see
     `steady_flow_error`; `time` [s], `mass` [kg] (rows,): samples."""
-    if len(time) < BLOCKS * ROWS_PER_BLOCK:
+    if len(time) < FLOW_BLOCKS * ROWS_PER_BLOCK:
         return nan
-    edges = np.linspace(begin, end, BLOCKS + 1)
+    edges = np.linspace(begin, end, FLOW_BLOCKS + 1)
     flow = np.diff(np.interp(edges, time, mass)) / np.diff(edges)
     off = flow - flow.mean()
     variance = float(off @ off)
     if variance == 0.0:
         return 0.0
     correlation = max(float(off[1:] @ off[:-1]) / variance, 0.0)
-    return float(flow.std(ddof=1) / sqrt(BLOCKS) * sqrt((1.0 + correlation) / (1.0 - correlation)))
+    return float(flow.std(ddof=1) / sqrt(FLOW_BLOCKS) * sqrt((1.0 + correlation) / (1.0 - correlation)))
 
 
 class _SteadyWindow(NamedTuple):

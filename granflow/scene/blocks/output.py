@@ -74,6 +74,10 @@ class CollisionEnergies(Model):
             yield Fault(("classes",), f"at most {MOST_CLASSES} are possible")
 
 
+FLOW_BLOCKS = 10
+"""Number of parts of the window of a steady flow whose scatter gives the standard error of the mass flow."""
+
+
 class FlowMeter(Model):
     """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
 

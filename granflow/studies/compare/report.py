@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from granflow import Scene
+from granflow.scene.blocks.output import FLOW_BLOCKS
 from granflow.studies.compare.bed import FORCE_EDGES, MIN_CONTACTS, SURFACE_PERCENTILE
 from granflow.studies.compare.collisions import (
     COARSE_STEPS,
@@ -259,8 +260,6 @@ def stage_note(found: SceneComparison) -> str:
 
 # ---------------------------------------------------------------- summary table
 
-BLOCKS = 10
-"""Number of averages in time of which `granflow.steady_flow_error` takes the standard error."""
 STRONG = 2.0
 """Multiple of the mean force above which a contact counts as strong."""
 MISSING = "–"
@@ -486,7 +485,7 @@ def _between_seeds(number: Callable[[VariantRun], float], run: VariantRun) -> Es
 
 
 def _in_time(meter: str, run: VariantRun) -> Estimate:
-    return Estimate(run.mass_flow(meter), run.mass_flow_error(meter), BLOCKS)
+    return Estimate(run.mass_flow(meter), run.mass_flow_error(meter), FLOW_BLOCKS)
 
 
 def _differences(
