@@ -68,6 +68,11 @@ class Surface:
         """Whether points (n, 3) are inside a closed mesh; False for others."""
         return np.zeros(len(points), dtype=bool)
 
+    def sides(self, points: np.ndarray) -> np.ndarray:
+        """1 for points (n, 3) inside of a hollow surface of revolution and -1 for points outside, between its
+        ends; 0 for others."""
+        return np.zeros(len(points), dtype=int)
+
     def farthest_from(self, point: Vector, axis: Vector) -> float:
         """Largest distance of its points from an axis; infinite for an unbounded surface.
 

@@ -815,8 +815,8 @@ def region_findings(plan: Plan, times: StageTimes) -> Iterator[tuple[tuple[str, 
 
 
 CONTAINED = 0.5
-"""Share of the particles of a group inside a closed mesh above which it is their container, such as a drum;
-below, the mesh is a solid body, such as an impeller."""
+"""Share of the particles of a group inside a wall above which it is their container, such as a drum; below, a
+closed mesh is a solid body, such as an impeller."""
 
 
 def without_overlaps_of_walls(
@@ -837,28 +837,38 @@ def without_overlaps_of_walls(
         if group.fixed or name in given or not len(own) or region_of(group) is None:
             continue
         count = len(own)
+        place = f"particles.{name} ({scene.where('particles', name)})"
+        left_out = dict[str, int]()
         for wall, overlap, local in _overlaps(plan.walls, name, (bodies[0], bodies[1]), 0.0, times):
             enclosed = wall.surface.encloses(local[:, 0])
             if enclosed.mean() > CONTAINED:
                 enclosed[:] = False
             inside = own[enclosed | (overlap > scene.numerics.intended_overlap)]
-            left_out = int(remains[inside].sum())
+            if remains[inside].any():
+                left_out[f"walls.{wall.name}"] = int(remains[inside].sum())
             remains[inside] = False
-            left = int(remains[own].sum())
-            place = f"particles.{name} ({scene.where('particles', name)})"
-            if not left:
-                problems.append(
-                    f"{scene.locate('particles', name, 'insert')}: particles.{name} has no particle left, "
-                    f"because all are inside or behind walls.{wall.name} or others. Choose a region that "
-                    "does not intersect them."
-                )
-                break
-            if left_out:
+            sides = wall.surface.sides(local[:, 0])
+            outside = int((sides < 0).sum())
+            if outside and (sides > 0).mean() > CONTAINED:
                 sentences.append(
-                    f"{place}: {left_out} of {count} particles are left out because they overlap "
-                    f"walls.{wall.name} at the start; {left} remain. For the full number, multiply its count "
-                    f"or mass by {count / left:.3g}, or choose a region without the wall."
+                    f"{place}: {outside} of {count} particles start outside walls.{wall.name} and "
+                    f"{int((sides > 0).sum())} inside. If it is their container, choose a region inside it, "
+                    "such as region: {cylinder: ..}."
                 )
+        left = int(remains[own].sum())
+        if not left:
+            problems.append(
+                f"{scene.locate('particles', name, 'insert')}: particles.{name} has no particle left, "
+                f"because all are inside or behind {' and '.join(left_out)}. Choose a region that does not "
+                "intersect them."
+            )
+        elif left_out:
+            walls = " and ".join(f"{wall} ({number})" for wall, number in left_out.items())
+            sentences.append(
+                f"{place}: {count - left} of {count} particles are left out because they overlap {walls} at "
+                f"the start; {left} remain. For the full number, multiply its count or mass by "
+                f"{count / left:.3g}, or choose a region without the walls."
+            )
     if problems:
         raise SceneError(problems)
     return (particles if remains.all() else particles.chosen(remains)), sentences

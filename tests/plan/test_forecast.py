@@ -4,6 +4,7 @@ nothing."""
 import re
 from math import log, pi, sqrt
 
+import numpy as np
 import pytest
 from geometry.meshes import cube, write
 from plan.scenes import TEXT, scene_of
@@ -302,13 +303,32 @@ def test_particles_of_a_packing_that_overlap_a_wall_are_left_out(tmp_path):
     assert 0 < len(expected) < 10 and (particles.position == expected).all()
     assert len(warnings) == 1 and plan.warnings == ()
     assert (
-        f"{10 - len(expected)} of 10 particles are left out because they overlap walls.plate at the start; "
-        f"{len(expected)} remain. For the full number, multiply its count or mass by "
+        f"{10 - len(expected)} of 10 particles are left out because they overlap walls.plate "
+        f"({10 - len(expected)}) at the start; {len(expected)} remain. For the full number, multiply its count or mass by "
         f"{10 / len(expected):.3g}," in warnings[0]
     )
     higher = plan_for(scene_of(tmp_path, packing, f"walls.plate={PLATE.replace('5 mm', '10 mm')}"))
     particles, _, warnings = initial_state(higher, None, None)
     assert len(particles) == 10 and warnings == []
+
+
+@pytest.mark.parametrize(("radius", "most_are_inside"), [("9 mm", True), ("4 mm", False)])
+def test_particles_on_both_sides_of_a_container_are_named(tmp_path, radius, most_are_inside):
+    """A packing in a square of 2 cm with an open cylinder about its middle: 9 mm enclose 64 % of the area."""
+    ends = "from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 5 cm]"
+    vessel = f"{{shape: cylinder, {ends}, radius: {radius}, material: glass}}"
+    beads = [f"particles.beads.{key}" for key in ("count=300", "diameter=1 mm", "insert.kind=pack")]
+    box = "particles.beads.insert.region.box={min: [0, 0, 0], max: [2 cm, 2 cm, 2 cm]}"
+    plan = plan_for(scene_of(tmp_path, f"walls.vessel={vessel}", *beads, box))
+    particles, _, warnings = initial_state(plan, None, None)
+    found = [each for each in warnings if "start outside walls.vessel" in each]
+    assert len(found) == most_are_inside
+    if found:
+        everywhere = initial_particles(plan.scene).position
+        outside = (np.linalg.norm(everywhere[:, :2] - 0.01, axis=1) > 9e-3).sum()
+        assert (
+            f": {outside} of 300 particles start outside walls.vessel and {300 - outside} inside." in found[0]
+        )
 
 
 @pytest.mark.parametrize(("size", "center"), [(0.012, 0.01), (0.05, 0.0)])

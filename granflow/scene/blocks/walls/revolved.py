@@ -334,6 +334,15 @@ class Revolved(AnalyticSurface):
         start, end = self.profile
         return float(np.pi * (start[0] + end[0]) * self.length)
 
+    def sides(self, points: np.ndarray) -> np.ndarray:
+        """See `Surface`; 0 for a disc."""
+        (start_r, _), (end_r, end_z) = self.profile
+        along = (points - self.origin) @ self.axis
+        radius = distance_from_axis(points, self.origin, self.axis)
+        share = along / end_z if end_z > 0.0 else np.full(len(points), np.nan)
+        side = np.where(radius < start_r + share * (end_r - start_r), 1, -1)
+        return np.where((share >= 0.0) & (share <= 1.0), side, 0)
+
     def farthest_from(self, point: Vector, axis: Vector) -> float:
         """Distance [m] of the farthest point of both edges from the axis.
 

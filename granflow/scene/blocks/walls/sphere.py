@@ -104,6 +104,10 @@ class SphericalShell(AnalyticSurface):
         """Area [m2] of one side."""
         return 4.0 * np.pi * self.radius**2
 
+    def sides(self, points: np.ndarray) -> np.ndarray:
+        """See `Surface`."""
+        return np.where(np.linalg.norm(points - self.center, axis=1) < self.radius, 1, -1)
+
     def farthest_from(self, point: Vector, axis: Vector) -> float:
         """Distance [m] of the farthest point from the axis."""
         return float(distance_from_axis(self.center, point, axis)[0]) + self.radius
