@@ -109,19 +109,23 @@ def checked_points(
             told = time.monotonic()
             announce(f"{number + 1} of {len(points)} points are checked")
     runs = [run for _, each in found for run in each]
-    if all(isinstance(run, str) for run in runs):
-        raise FileError(list(dict.fromkeys(str(run) for run in runs)))
-    return found
+    reasons = [run for run in runs if isinstance(run, str)]
+    if len(reasons) == len(runs):
+        raise FileError(list(dict.fromkeys(line for reason in reasons for line in reason.splitlines())))
+    return [
+        (point, [" ".join(run.splitlines()) if isinstance(run, str) else run for run in each])
+        for point, each in found
+    ]
 
 
 def _checked(sweep: SweepFile, point: DesignPoint, common: RunSettings, seed_offset: int) -> CheckedRun | str:
-    """A checked run, or the reason why it is refused."""
+    """A checked run, or the reason why it is refused, a line for each problem."""
     try:
         return checked_run(
             sweep.scene, point.settings, sweep.read, common, seed_offset, partial(_evaluation_problems, sweep)
         )
     except SceneError as error:
-        return " ".join(relocated(error, sweep.positions).problems)
+        return "\n".join(relocated(error, sweep.positions).problems)
     except GranflowError as error:
         return str(error)
 
