@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from granflow.importing.deck import Deck, Fix, Group, Points
+from granflow.importing.deck import Deck, Fix, Group, Points, Words
 from granflow.importing.language import Command, DeckError
 from granflow.importing.regions import contains, region_of
 from granflow.importing.report import Entry
+from granflow.io.tables import is_number
 
 INTEGRATORS = (
     "nve",
@@ -126,6 +127,11 @@ def tell_inserted(deck: Deck) -> None:
         return
     templates = [fix.group for fix in deck.all_fixes if fix.style.startswith("particle")]
     members = {"all", *inserting, *templates}
+    for fix in deck.fixes_of("setforce"):
+        if fix.data in members:
+            fix.entry.impossible("inserted particles whose force is set", HELD)
+        elif fix.data is not None and not deck.family.get("points"):
+            fix.entry.not_needed("the group has no particles")
     integrators = [fix for fix in deck.fixes_of(*INTEGRATORS) if fix.group in members and deck.acting(fix)]
     runs = [run for run in deck.runs if run.steps]
     if integrators and not all(any(fix.acts_in(run) for fix in integrators) for run in runs):
@@ -179,6 +185,9 @@ def fixed_points(deck: Deck, points: Points) -> np.ndarray:
     for fix in deck.fixes_of("freeze"):
         if deck.acting(fix):
             fixed |= _of_fix(deck, points, fix)
+    for fix in deck.fixes_of("setforce"):
+        if fix.data is not None:
+            fixed |= _held(deck, points, fix, fixed)
     for fix in fixes:
         if fix.group != "all" and fixed.any():
             fix.entry.translated("particles.NAME.fixed of the others")
@@ -189,6 +198,37 @@ def fixed_points(deck: Deck, points: Points) -> np.ndarray:
                 "the group all, or fixed: true for particles that do not move",
             )
     return fixed
+
+
+def setforce(deck: Deck, fix: Fix) -> None:
+    """fix ID group setforce 0 0 0: particles that keep their velocity, such as those of a rough bottom."""
+    words = Words(deck, fix.entry.command, fix.words)
+    given = [words.word("a force") for _ in "xyz"]
+    if words or not all(is_number(each) and float(each) == 0.0 for each in given):
+        words.skip()
+        fix.entry.impossible("forces that are set", HELD)
+    else:
+        fix.data = fix.group
+
+
+HELD = "fixed: true for particles that do not move"
+"""The nearest to forces that are set."""
+
+
+def _held(deck: Deck, points: Points, fix: Fix, fixed: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the particles that rest because their force is 0; `fixed`: those that rest without it."""
+    chosen = _of_fix(deck, points, fix)
+    moving = chosen & ~fixed
+    if not moving.any():
+        fix.entry.not_needed("no fix moves these particles, or it holds none")
+    elif points.motion[moving, :3].any():
+        fix.entry.impossible("particles that move with a constant velocity", "a wall with the motion")
+    elif len(deck.acting(fix)) < sum(run.steps > 0 for run in deck.runs):
+        fix.entry.impossible("particles that are held in some runs only", HELD)
+    else:
+        fix.entry.approximated("particles.NAME.fixed; in the script friction can turn these particles")
+        return moving
+    return np.zeros(len(chosen), bool)
 
 
 def _of_fix(deck: Deck, points: Points, fix: Fix) -> np.ndarray:

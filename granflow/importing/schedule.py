@@ -21,7 +21,7 @@ from granflow.importing.deck import (
     impossible,
     not_needed,
 )
-from granflow.importing.groups import exclude
+from granflow.importing.groups import exclude, setforce
 from granflow.importing.language import Command, DeckError, NotKnown
 from granflow.importing.regions import Track, track_variables
 from granflow.importing.report import Entry
@@ -673,7 +673,7 @@ FIXES: dict[str, Translation] = {
     "remove": impossible(
         "particles that are removed at a rate", "outlets of the scene, or delete of a stage (fraction)"
     ),
-    "setforce": impossible("forces that are set", "fixed: true for particles that do not move"),
+    "setforce": Translation(setforce, "particles.NAME.fixed", "0 0 0 of particles without velocity"),
     "addforce": impossible("a constant force", "gravity, or gf.ParticleForces of a Python program"),
     "aveforce": impossible("aveforce", "a Python program that sets forces"),
     "efield": impossible("electric fields", "a Python program that adds forces (notebook drag_and_field)"),

@@ -789,6 +789,34 @@ def test_particles_on_a_lattice_of_its_own(tmp_path, width):
 
 
 @pytest.mark.parametrize(
+    ("fixes", "kind", "sentence"),
+    [
+        ("fix s low setforce 0 0 0", "approximated", "particles.NAME.fixed"),
+        (
+            "fix s low setforce 0.0 0.0 0.0\nvelocity low set 0.1 0 0 units box",
+            "not possible",
+            "particles that move with a constant velocity",
+        ),
+        ("fix s low setforce 0 0 NULL", "not possible", "forces that are set"),
+        (
+            "fix s low setforce 0 0 0\nrun 10\nunfix s",
+            "not possible",
+            "particles that are held in some runs only",
+        ),
+        ("fix f low freeze\nfix s low setforce 0 0 0", "not needed", "no fix moves these particles"),
+    ],
+)
+def test_particles_without_force_are_fixed(tmp_path, fixes, kind, sentence):
+    text = CUSTOM.format(width=0.1, more="origin 0.1 0.1 0.1", units="units box")
+    group = "region low block INF INF INF INF -1 0.004 units box\ngroup low region low\n"
+    found, scene = imported(tmp_path, text.replace("run 10", f"{group}{fixes}\nrun 10"))
+    assert f"{kind}: {sentence}" in sentences(found, "fix s")
+    if kind != "not possible":
+        fixed = {name: each.get("fixed", False) for name, each in scene["particles"].items()}
+        assert sorted(fixed.values()) == [False, True]
+
+
+@pytest.mark.parametrize(
     ("words", "count"), [("type/subset 2 10 777", 10), ("type/ratio 2 0.25 777", 9), ("type/fraction 2 1 777", 36)]
 )  # fmt: skip
 def test_random_types(tmp_path, words, count):
