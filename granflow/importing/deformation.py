@@ -112,6 +112,14 @@ def build(deck: Deck, draft: Draft) -> None:
     fixes = [fix for fix in fixes if deck.acting(fix)]
     if not fixes:
         return
+    others = [*(draft.get("walls") or {}), *(["damping"] if draft.get("damping") else [])]
+    if others:
+        for fix in fixes:
+            fix.entry.impossible(
+                f"a box that deforms, together with {' and '.join(others)}, for which no frame is at rest",
+                "walls that move in a box at rest, or a script without walls and without fix viscous",
+            )
+        return
     rates = {id(fix): _rates(deck, fix) for fix in fixes}
     names = stage_names(deck)
     before: dict[str, float] = {}

@@ -424,7 +424,9 @@ def _or_default(words: Words, what: str, dimension: str, default: float) -> floa
     return words.number(what, dimension)
 
 
-DAMPINGS = ("tsuji", "viscoelastic", "velocity", "mass_velocity")
+BY_NUMBER = ("tsuji", "coeff_restitution")
+"""Damping models of granular (LAMMPS) whose number gives a restitution for each size and velocity."""
+DAMPINGS = (*BY_NUMBER, "viscoelastic", "velocity", "mass_velocity")
 """Damping models of granular (LAMMPS) with a counterpart."""
 
 
@@ -505,7 +507,11 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         else:
             raise DeckError(entry.command, f"granular has no keyword {key}.")
     spring = "hooke/stiffness" if normal == "hooke" else "hertz/stiffness"
-    if normal not in ("hooke", "hertz") and damping == "tsuji":
+    if damping == "coeff_restitution" and not 0.0 <= numbers["eta"] <= 1.0:
+        raise DeckError(
+            words.command, f"the restitution is {numbers['eta']:g}; give a number from 0 to 1, such as 0.7."
+        )
+    if normal not in ("hooke", "hertz") and damping in BY_NUMBER:
         spring = "hertz"
     return Model(
         spring,
@@ -680,7 +686,7 @@ def is_by_size(deck: Deck) -> bool:
     models += [each.model for each in deck.own("wall_contacts", list)]
     return any(
         ("E" in each.numbers or each.normal not in ("hertz", "hooke"))
-        and each.damping != "tsuji"
+        and each.damping not in BY_NUMBER
         and each.normal != "hooke/hysteresis"
         for each in models
         if each is not None
@@ -1074,7 +1080,7 @@ class Contacts:
             case "hooke/stiffness":
                 value = quantity(self._stiffness("kn", main, first.type, first.type), "stiffness")
                 return {"law": "linear", "stiffness": {"value": value}}
-            case "hertz/stiffness" if main.damping in ("tsuji", "velocity", "mass_velocity"):
+            case "hertz/stiffness" if main.damping in (*BY_NUMBER, "velocity", "mass_velocity"):
                 return "hertz"
             case "hertz/stiffness":
                 return {"law": "kuwabara_kono", "reference_velocity": quantity(self.speed, "velocity")}
@@ -1359,9 +1365,9 @@ class Contacts:
         if model.normal in ("hertz", "hooke") and "E" not in model.numbers:
             given = self._number("coefficientRestitution", model, i, j)
             text += f" with {given:g} and limitForce"
-        elif model.damping == "tsuji":
+        elif model.damping in BY_NUMBER:
             given = model.numbers["eta"]
-            text += f" with damping tsuji of {given:g}"
+            text += f" with damping {model.damping} of {given:g}"
         else:
             given = -1.0
             text += " with its dashpot"
@@ -1426,7 +1432,7 @@ class Contacts:
             e = self._number("coefficientRestitution", model, first.type, type)
             zeta = -log(max(e, 1e-6)) / sqrt(pi**2 + log(max(e, 1e-6)) ** 2)
             return free_restitution(zeta, True) if limited else e
-        if model.damping == "tsuji":
+        if model.damping in BY_NUMBER:
             return free_restitution(self._zeta(model, radius, mass), limited)
         if model.normal == "hertz/stiffness" or model.damping in (
             "viscoelastic",
@@ -1468,6 +1474,9 @@ class Contacts:
 
     def _zeta(self, model: Model, radius: float, mass: float) -> float:
         """Damping ratio of a linear spring, or of a Hertz spring with Tsuji's dashpot."""
+        if model.damping == "coeff_restitution":  # the dashpot of this restitution, tension included
+            e = max(model.numbers["eta"], 1e-6)
+            return -log(e) / sqrt(pi**2 + log(e) ** 2)
         if model.damping == "tsuji":
             return tsuji(model.numbers["eta"]) / (2.0 if model.normal == "hooke/stiffness" else sqrt(5.0))
         i = self.first.type

@@ -675,6 +675,14 @@ def test_widths_that_change(tmp_path):
     checked(tmp_path, found)
 
 
+def test_box_that_deforms_with_damping_is_told(tmp_path):
+    found, _ = imported(
+        tmp_path, periodic("fix v all viscous 1e-4\nfix s all deform 1 x erate -0.5\nrun 100")
+    )
+    assert "not possible: a box that deforms, together with damping" in sentences(found, "deform")
+    assert "deformation" not in found.text
+
+
 def test_widths_that_change_in_one_of_three_runs(tmp_path):
     text = periodic("run 1000\nfix s all deform 1 y vel -1.0\nrun 5000\nunfix s\nrun 1000")
     found, scene = imported(tmp_path, text)

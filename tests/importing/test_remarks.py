@@ -471,6 +471,7 @@ def test_no_friction_of_a_dashpot_that_does_not_pull(tmp_path):
 @pytest.mark.parametrize(
     "model",
     [
+        *("hooke 1e4 0.5 damping coeff_restitution", "hertz/material 1e7 0.5 0.3 damping coeff_restitution"),
         *("hooke 1e4 0.5 damping tsuji", "hertz 1e7 0.5 damping tsuji", "hertz 1e7 0.01 damping velocity"),
         *("hertz 1e7 100 rolling sds 1e3 0.01 0.1", "jkr 1e7 0.5 0.3 0.01 damping tsuji twisting marshall"),
         *(
@@ -491,6 +492,8 @@ def test_models_of_granular_pass_the_check(tmp_path, model, tangential):
         (tmp_path / name).write_bytes(content)
     (tmp_path / "scene.yaml").write_text(found.text)
     plan_for(gf.load_scene(tmp_path / "scene.yaml"))
+    if "coeff_restitution" in model:
+        assert {each["restitution"] for each in yaml.safe_load(found.text)["pairs"].values()} == {0.5}
     if "tsuji" in model:
         zeta = tsuji(0.5) / (2.0 if model.startswith("hooke") else sqrt(5.0))
         pairs = yaml.safe_load(found.text)["pairs"].values()
