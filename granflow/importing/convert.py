@@ -191,6 +191,7 @@ def _tell_box(deck: Deck) -> None:
     for k, axis in enumerate("xyz"):
         facts[f"{axis}lo"], facts[f"{axis}hi"] = low_high[2 * k : 2 * k + 2]
         facts[f"l{axis}"] = facts[f"{axis}hi"] - facts[f"{axis}lo"]
+    facts["vol"] = facts["lx"] * facts["ly"] * facts["lz"]
 
 
 def code_of(path: Path, commands: Iterable[Command]) -> str:
@@ -251,6 +252,7 @@ def convert(
 
     interpreter = Interpreter(given=settings, unneeded=unneeded, on_executed=executed)
     deck = Deck(code, interpreter, report)
+    interpreter.on_defined = deck.has
     interpreter.on_result = lambda where, condition: waiting.decide(deck, where, condition)
     for script in (*after, path):
         if script is not (*after, path)[0]:

@@ -281,6 +281,16 @@ class Deck:
         )
         return [run for run in self.runs[first:last] if run.steps and fix.acts_in(run)]
 
+    def has(self, category: str, name: str) -> bool | None:
+        """Whether a fix, compute, region or group exists at this line; None for other categories."""
+        known: dict[str, Any] = {
+            "fix": self.fixes,
+            "compute": self.computes,
+            "region": self.regions,
+            "group": {"all", *self.groups},
+        }
+        return name in known[category] if category in known else None
+
     @property
     def end(self) -> float:
         """Time at the end of the script [s]."""

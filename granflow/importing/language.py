@@ -202,6 +202,8 @@ class Interpreter:
     """Called with each executed command of the language, and why it has no counterpart (mostly empty)."""
     on_result: Callable[[tuple[str, int], str], bool | None] = lambda where, condition: None
     """Decides a condition on results that leaves a loop, by its file and line and its formula."""
+    on_defined: Callable[[str, str], bool | None] = lambda category, name: None
+    """Whether a fix, compute, region or group of this name exists; None if that is not known."""
     _executed: int = 0
     _seek: str | None = None
     """Label to which a jump goes."""
@@ -787,7 +789,25 @@ class Formula:
             raise NotKnown(variable.text, is_result=True)
         return self.interpreter.evaluate(variable.text, **self.facts)
 
+    def _is_defined(self) -> float:
+        """is_defined(CATEGORY, NAME), whose words are no formulas."""
+        end = self.text.find(")", self.at)
+        words = [each.strip() for each in self.text[self.at : max(end, self.at)].split(",")]
+        self.at = max(end, self.at) + 1
+        if end >= 0 and len(words) == 2:
+            known = self.interpreter.variables
+            found = (
+                words[1] in known
+                if words[0] == "variable"
+                else self.interpreter.on_defined(words[0], words[1])
+            )
+            if found is not None:
+                return float(found)
+        raise NotKnown(f"is_defined({','.join(words)}) is not known; give a category and a name")
+
     def _call(self, name: str) -> float:
+        if name == "is_defined":
+            return self._is_defined()
         given: list[float] = []
         if not self._takes(")"):
             given.append(self._rank(0))
