@@ -9,7 +9,7 @@ its end included.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, inf, log, pi, sqrt
+from math import exp, inf, log, pi, radians, sqrt
 from typing import Any
 
 from granflow.contact.theory import damping_ratio_for
@@ -164,8 +164,9 @@ def property_global(deck: Deck, fix: Fix) -> None:
     low, high = RANGES.get(name, (-inf, inf))
     outside = next((each for each in numbers if not low <= each <= high), None)
     if outside is not None:
+        unit = f" rad ({outside:g} degrees are {radians(outside):.4g} rad)" if name == "contactAngle" else ""
         raise DeckError(
-            fix.entry.command, f"{name} has the number {outside:g}; give one from {low:g} to {high:g}."
+            fix.entry.command, f"{name} has the number {outside:g}; give one from {low:g} to {high:g}{unit}."
         )
     needed = {"scalar": 1, "peratomtypepair": columns * columns}.get(form, len(numbers))
     if len(numbers) != needed or not numbers:
