@@ -35,7 +35,8 @@ def test_regions_have_signed_distances(region, distance):
         _position=POINTS,
     )
     for part, reach in (("center", 0.0), ("any", 0.3), ("all", -0.3)):
-        found = PresentParticles.chosen(spheres, None, deletion.region, part)
+        deletion = StageDeletion(region=region, part=part)
+        found = PresentParticles.chosen(spheres, None, deletion.region, deletion.part)
         expected = np.array(distance) <= reach
         is_clear = np.abs(np.array(distance) - reach) > 1e-9
         assert (found == expected)[is_clear].all()
