@@ -15,6 +15,7 @@ from granflow.plan.build import plan_for
 from granflow.plan.wall_control import plane_of
 from granflow.scene.blocks.metrics import (
     METRIC_QUANTITIES,
+    CenterOfMassMetric,
     CoordinationMetric,
     OrientationMetric,
     Reading,
@@ -324,6 +325,23 @@ def test_granular_temperature_is_that_of_the_fluctuations_without_their_mean():
     sample = np.random.default_rng(4).normal(0.0, 0.3, (40_000, 3))
     pairs = granular_temperature(sample, np.ones(len(sample)), np.arange(len(sample)) // 2)
     np.testing.assert_allclose(pairs, 0.09, rtol=5 * (2 / 20_000) ** 0.5)
+
+
+def test_center_of_mass_of_sizes():
+    """Diameters 1, 2, 3 mm at heights 0, 1, 2 m with equal masses: below 3 mm 0.5 m, from 2 mm 1.5 m."""
+    height = np.column_stack([np.zeros(3), np.zeros(3), np.arange(3.0)])
+    particles = particles_of(
+        3, position=height, radius=np.array([0.5e-3, 1e-3, 1.5e-3]), mass=np.ones(3), fixed=np.zeros(3)
+    )
+
+    def level(**limits):
+        metric = CenterOfMassMetric(**limits)
+        return metric.measure(snapshot_of(particles=particles), None).numbers["center_of_mass_z"]
+
+    assert [level(), level(smaller_than="3 mm"), level(at_least="2 mm")] == pytest.approx([1.0, 0.5, 1.5])
+    assert level(at_least="2 mm", smaller_than="2.5 mm") == pytest.approx(1.0)
+    with pytest.raises(SceneError, match="must be above at_least"):
+        CenterOfMassMetric(at_least="2 mm", smaller_than="2 mm")
 
 
 def test_center_of_mass_is_weighted_by_mass():

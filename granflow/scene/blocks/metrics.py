@@ -1264,8 +1264,8 @@ def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
 
 
 class CenterOfMassMetric(Metric):
-    """Center of mass [m] of the particles of some groups, or of all mobile particles; in periodic boxes, of
-    wrapped positions.
+    """Center of mass [m] of the particles of some groups or sizes, or of all mobile particles; in periodic
+    boxes, of wrapped positions.
 
     >>> gf.CenterOfMassMetric(groups=["red"])
     CenterOfMassMetric(groups=('red',))
@@ -1275,11 +1275,22 @@ class CenterOfMassMetric(Metric):
     groups: GroupNames | None = optional(
         "groups whose particles are evaluated, fixed ones too", "all mobile particles", examples=[["red"]]
     )
+    smaller_than: q.UnscaledLength | None = optional(
+        "diameter below which particles are evaluated [m]", "no limit"
+    )
+    at_least: q.UnscaledLength | None = optional(
+        "diameter from which particles are evaluated [m]", "no limit"
+    )
     quantities = (
         Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
         Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
         Quantity("center_of_mass_z", "z", "m", "z coordinate of the center of mass"),
     )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for limits between which there is no diameter."""
+        if self.smaller_than is not None and self.at_least is not None and self.smaller_than <= self.at_least:
+            yield Fault(("smaller_than",), f"it must be above at_least, {self.at_least:g} m")
 
     def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
         """See `Metric`."""
@@ -1291,6 +1302,10 @@ class CenterOfMassMetric(Metric):
         if self.groups:
             groups = [scene.groups.index(name) for name in self.groups]
             particles = selected(snapshot.particles, np.isin(snapshot.particles["group"], groups))
+        if self.smaller_than is not None:
+            particles = selected(particles, 2.0 * particles["radius"] < self.smaller_than)
+        if self.at_least is not None:
+            particles = selected(particles, 2.0 * particles["radius"] >= self.at_least)
         center = center_of_mass(particles["position"], particles["mass"])
         return Reading(center, "" if len(particles["mass"]) else "there are no such particles")
 
