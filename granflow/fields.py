@@ -883,6 +883,7 @@ RESIDENCE_QUANTITIES = by_name(
         Quantity("residence_count", "", "1", "particles whose residence time is known"),
         Quantity("residence_mean", "", "s", "mean residence time of `output.residence_time`, by mass"),
         Quantity("residence_deviation", "", "s", "standard deviation of these times, by mass"),
+        Quantity("residence_stage_mean", "", "s", "mean of the times that end in the last stage, by mass"),
         Quantity(
             "tanks_in_series",
             "",

@@ -93,6 +93,7 @@ class ResidenceTimes:
         self._time: list[float] = []
         self._residing = [0, 0.0]
         self._stage = ""
+        self._before_stage = 0
         self._stage_rows = StageRows()
 
     def record(
@@ -104,6 +105,8 @@ class ResidenceTimes:
         """
         if self.rows is not None and self.rows.is_empty:
             self.rows.write(_RESIDENCE)
+        if snapshot.stage != self._stage:
+            self._stage, self._before_stage = snapshot.stage, len(self._time)
         out = meters[self.to].passages
         entering = out if self.begins_at is None else meters[self.begins_at].passages
         if out is not None and entering is not None:
@@ -117,7 +120,6 @@ class ResidenceTimes:
                 for row in _rows(left, begun, self._names):
                     self.rows.write(row)
         self._residing = self._count_residing(snapshot)
-        self._stage = snapshot.stage
         self._stage_rows.update(self._stage, self.readings(), replaces_last)
 
     def _counts(self, group: np.ndarray, begun: np.ndarray) -> np.ndarray:
@@ -184,6 +186,8 @@ class ResidenceTimes:
         """Return the numbers of `RESIDENCE_QUANTITIES`; NaN for a mean or deviation without particles."""
         numbers = _numbers(np.array(self._time), np.array(self._mass))
         means = self._stage_rows.means(self._stage)
+        times, masses = (np.array(each[self._before_stage :]) for each in (self._time, self._mass))
+        numbers["residence_stage_mean"] = _numbers(times, masses)["residence_mean"]
         numbers |= dict(zip(HOLD_UP, self._residing, strict=True))
         return numbers | {f"{name}_mean": means.get(name, nan) for name in HOLD_UP}
 
@@ -197,6 +201,7 @@ class ResidenceTimes:
             "time": np.array(self._time, dtype=np.float64),
             "residing": self._residing,
             "stage": self._stage,
+            "before_stage": self._before_stage,
             "stage_rows": self._stage_rows.state_dict(),
         }
 
@@ -209,6 +214,7 @@ class ResidenceTimes:
         self._time = saved["time"].tolist()
         self._residing = saved["residing"]
         self._stage = saved["stage"]
+        self._before_stage = int(saved["before_stage"])
         self._stage_rows.load_state_dict(saved["stage_rows"])
 
 

@@ -414,6 +414,7 @@ _WORDS = {
     "residing_mass_mean": "hold-up, mean of the last stage",
     "residing_count_mean": "residing count, mean of the last stage",
     "residence_deviation": "residence time, deviation by mass",
+    "residence_stage_mean": "residence time in the last stage, by mass",
 }
 """Words for numbers whose names do not tell how they differ."""
 

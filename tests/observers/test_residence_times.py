@@ -11,7 +11,7 @@ from granflow.scene.blocks.output import FlowMeter, ResidenceTime
 NAMES = {"group": ["feed", "tracer"], "material": ["glass"]}
 
 
-def measured(given, paths, begins_at="top"):
+def measured(given, paths, begins_at="top", stages=None):
     """Residence times of particles on `paths` {id: [x at each time]}; odd ids are tracers of 3 kg, others 1 kg.
 
     top and out are at x = 1 and x = 3; a particle of x None does not exist. All are inserted at id / 10 s.
@@ -28,7 +28,7 @@ def measured(given, paths, begins_at="top"):
             "velocity": np.zeros((len(ids), 3)), "radius": np.full(len(ids), 0.1), "mass": 1.0 + 2.0 * (ids % 2),
             "group": ids % 2, "material": np.zeros(len(ids), int), "insertion_time": ids / 10.0,
         }  # fmt: skip
-        snapshot = snapshot_of(float(k), particles=arrays)
+        snapshot = snapshot_of(float(k), particles=arrays, stage=stages[k] if stages else "run")
         for meter in meters.values():
             meter.update(snapshot)
         residence.record(snapshot, meters)
@@ -81,3 +81,13 @@ def test_hold_up_over_the_flow_is_the_residence_time():
     found = measured({"from": "top", "to": "out"}, {k: path[:count] for k, path in paths.items()})
     assert found["residence_mean"] == pytest.approx(2.0)
     assert found["residing_count_mean"] == pytest.approx(np.mean(residing))
+
+
+def test_mean_of_the_last_stage_leaves_out_the_start_up():
+    """Particles 0 and 2 of 1 kg leave in the stage fill after 1 and 2 s, 1 of 3 kg and 4 of 1 kg in the last
+    one after 3 and 1 s."""
+    paths = {0: [0, 2, 4, 4, 4, 4], 2: [0, 2, 2, 4, 4, 4], 1: [0, 0, 2, 2, 2, 4], 4: [0, 0, 0, 2, 4, 4]}
+    stages = ["fill", "fill", "fill", "fill", "run", "run"]
+    found = measured({"from": "top", "to": "out"}, paths, stages=stages)
+    assert found["residence_mean"] == pytest.approx((1.0 + 2.0 + 3.0 * 3.0 + 1.0) / 6.0)
+    assert found["residence_stage_mean"] == pytest.approx((3.0 * 3.0 + 1.0) / 4.0)
