@@ -326,7 +326,7 @@ def _run_rows(result: Result) -> list[tuple[str, str, str]]:
     unit = "s"
     if result.timings and total > 0.0:
         part, seconds = max(result.timings.items(), key=lambda each: each[1])
-        unit = f"s ({seconds / total:.0%} {_label(part)})"
+        unit = f"s ({seconds / total:.0%} of it {_label(part)})"
     return [*rows, ("wall clock", f"{total:.2f}", unit)]
 
 

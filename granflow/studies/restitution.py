@@ -152,6 +152,11 @@ def write_restitution(out: Path, rows: Sequence[RestitutionRow], title: str) -> 
     draw_to(out / "restitution.png", lambda figure: _draw(figure, rows, title), HEIGHT)
 
 
+LEAST_RANGE = 0.05
+"""Smallest range of the restitution coefficient in the figure: a constant one does not fill it with rounding
+errors."""
+
+
 def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
     """Plot restitution (top) and difference in percent (bottom) against velocity; bars span the phases."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -171,8 +176,11 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
         known = requested > 0.0
         percent = 100.0 / requested[known]
         below.errorbar(velocity[known], (middle - requested)[known] * percent, half[known] * percent, **style)
+    low, high = above.get_ylim()
+    margin = max(0.0, 0.5 * (LEAST_RANGE - (high - low)))
+    above.set_ylim(low - margin, high + margin)
     above.set(ylabel="restitution coefficient $e$", title=f"{title}: given (lines) and simulated (points)")
-    above.legend(loc="best")
+    above.legend(loc="best", title="bars: phases of the first step")
     below.set(xlabel="approach velocity $v$ [m/s]", ylabel="relative difference [%]")
 
 

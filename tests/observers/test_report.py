@@ -73,7 +73,7 @@ def test_table_has_the_speed_the_state_and_what_the_scene_measures():
     angles = {"heap": {"angle_of_repose": 0.4, "angle_of_repose_error": float("nan")}}
     rows = shown(replace(RESULT, metrics=angles))
     assert rows == [
-        "Result", "simulated time 1.5 s", "step count 1 234 567", "wall clock 4.00 s (75% forces)",
+        "Result", "simulated time 1.5 s", "step count 1 234 567", "wall clock 4.00 s (75% of it forces)",
         "particle count 8 000", "kinetic energy 0.001 J", "energy error -",
         "flow mass, outlet 0.25 kg", "flow count, outlet 100", "mass flow, outlet 0.153 kg/s",
         "angle of repose, heap 0.4 rad (22.92 deg)", "angle of repose error, heap -",
