@@ -657,7 +657,7 @@ class Amount:
         if count > most:
             fix.entry.approximated(
                 f"{count:.0f} particles do not fit by random insertion, which in the script ends at about "
-                f"{most:.0f} particles"
+                f"{most:.0f} particles (compared with LIGGGHTS: 1 % less to 8 % more, in a flat region)"
             )
         target, count = count, min(count, most) * self.share
         first = {"count": max(1, round(count))}
