@@ -102,15 +102,23 @@ def figure_of(table: ShownTable) -> Drawing | None:
     parameters = table.parameters[:MOST_PANELS]
 
     def draw(figure: Any) -> None:
-        panels = figure.subplots(len(quantities), len(parameters), squeeze=False, sharey="row")
+        panels = figure.subplots(len(quantities), len(parameters), squeeze=False, sharex="col", sharey="row")
         for line, quantity in zip(panels, quantities, strict=True):
             for axes, parameter in zip(line, parameters, strict=True):
                 _draw_panel(axes, table, rows, quantity, parameter)
             line[0].set_ylabel(table.label(quantity))
+            means = np.array([table.mean(row, quantity) for row in rows])
+            means = means[np.isfinite(means)]
+            if len(means) and means.min() > 0.0 and means.max() > DECADES * means.min():
+                line[0].set_yscale("log")
         for axes, parameter in zip(panels[-1], parameters, strict=True):
             axes.set_xlabel(table.parameter_label(parameter))
 
     return Drawing(draw, 0.4 + PANEL[1] * len(quantities), 0.5 + PANEL[0] * len(parameters))
+
+
+DECADES = 100.0
+"""Ratio of the largest to the smallest of positive values from which their axis is logarithmic."""
 
 
 def _draw_panel(
