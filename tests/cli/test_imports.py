@@ -5,6 +5,7 @@ import gc
 import json
 import subprocess
 import sys
+import weakref
 
 import pytest
 
@@ -79,3 +80,27 @@ def test_garbage_collection_pauses_in_the_block(enabled):
         assert gc.isenabled() == enabled
     finally:
         gc.enable()
+
+
+class Cycle:
+    """An object that refers to itself."""
+
+    def __init__(self):
+        self.itself = self
+
+
+def test_objects_of_a_start_are_collected_late_but_not_never():
+    """The next young collection does not search them; a full one still finds their cycles."""
+    gc.unfreeze()  # what the tests have frozen
+    try:
+        with quick_start():
+            lost = weakref.ref(Cycle())
+            objects = [[] for _ in range(100_000)]
+            assert gc.get_count()[0] > len(objects)
+        assert gc.get_count()[0] < 1000 and not gc.get_freeze_count()
+        gc.collect(0)
+        assert lost() is not None
+        gc.collect()
+        assert lost() is None
+    finally:
+        gc.freeze()
