@@ -1,6 +1,7 @@
 """Walls that are removed and moved from Python."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from geometry.motions import rotation, translation, vibration
 from scene_builders import plane
 
 import granflow as gf
+from granflow.engine.checkpoint import renumbered
 from granflow.plan.build import plan_for
 from granflow.plan.wall_changes import with_motions
 from granflow.scene.blocks.motions import placement_at, poses_at
@@ -136,3 +138,11 @@ def test_changes_that_are_not_possible_are_refused(taichi_f64):
     servo = [{"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1}]
     with pytest.raises(gf.GranflowError, match="is force-controlled"):
         with_motions(plan_for(resting(servo)), "floor", [], 0.0, [])
+
+
+def test_an_added_wall_moves_the_numbers_of_triangles_only():
+    """Wall w is partner -1 - w, triangle t of n walls is partner -1 - n - t, particles are at least 0."""
+    before, now = SimpleNamespace(walls=[0, 1]), SimpleNamespace(walls=[0, 1, 2])
+    walls, particles = [-1, -2], [0, 7]
+    found = renumbered(np.array([*particles, *walls, -3, -4]), before, now)
+    assert found.tolist() == [*particles, *walls, -4, -5]
