@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from granflow.io.files import write_text
-from granflow.io.tables import read_series
+from granflow.io.files import replacing, write_text
+from granflow.io.tables import read_series, write_table
 from granflow.studies.figures import (
     COLORS,
     MARKERS,
@@ -43,6 +43,8 @@ NO_LIBRARY = (
 )
 
 
+SOBOL = "sobol.csv"
+"""Sobol indices of all quantities, with the half widths of their 95 % confidence intervals."""
 FIGURE = "sweep.png"
 """Figure of all quantities over all parameters, with standard errors."""
 
@@ -50,8 +52,8 @@ FIGURE = "sweep.png"
 def write_sweep_page(
     out: Path, sweep: SweepInput, table: SweepTable, figures: Mapping[str, Drawing] | None = None
 ) -> None:
-    """Write `sweep.html` and FIGURE to the directory of the sweep; without plotly, the page has tables only,
-    and without matplotlib, there is no figure.
+    """Write `sweep.html`, FIGURE and, for a Sobol sampling, SOBOL to the directory of the sweep; without
+    plotly, the page has tables only, and without matplotlib, there is no figure.
 
     `figures`: images of the evaluation in this directory, by file name.
     """
@@ -75,12 +77,17 @@ def write_sweep_page(
         effects=[main_effects(drawn, points, each) for each in drawn.quantities] if has_plots else [],
         heat_maps=heat_maps(drawn, points) if has_plots and isinstance(sweep.sampling, Grid) else [],
         all_columns=all_columns(drawn, points) if has_plots else [],
-        sobol=[sobol_plot(drawn, each) for each in indices] if script else [],
+        sobol=[sobol_plot(drawn, each) for each in indices if each.is_known] if script else [],
+        sobol_numbers=sobol_table(found, indices),
         why_no_sobol=why_none,
         series=series_plots(drawn) if script else [],
         points=_points(found),
     )
     write_text(out / PAGE, text)
+    if indices:
+        columns = sobol_columns(table.parameters, indices)
+        with replacing(out / SOBOL) as temporary:
+            write_table(temporary, columns, zip(*columns.values(), strict=True))
     drawing = figure_of(found)
     if drawing is not None:
         write_figures(out, {FIGURE: drawing})
@@ -298,9 +305,24 @@ class SobolIndices(NamedTuple):
     total: np.ndarray
     total_interval: np.ndarray
 
+    @property
+    def largest_interval(self) -> float:
+        """The largest half width."""
+        return float(np.max([self.first_interval, self.total_interval]))
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the intervals are smaller than the range of an index, which is a share."""
+        return self.largest_interval < 1.0
+
+
+WIDE = 0.3
+"""Half width of an interval from which a sentence says that the samples are few."""
+
 
 def sobol_indices(sweep: SweepInput, table: SweepTable) -> tuple[list[SobolIndices], str]:
-    """First-order and total Sobol indices of each quantity, and a sentence if some are missing.
+    """First-order and total Sobol indices of each quantity, and sentences if some are missing or have wide
+    intervals.
 
     Neither for other samplings than Saltelli's design.
 
@@ -331,7 +353,35 @@ def sobol_indices(sweep: SweepInput, table: SweepTable) -> tuple[list[SobolIndic
             found.append(
                 SobolIndices(name, *(np.asarray(indices[key]) for key in ("S1", "S1_conf", "ST", "ST_conf")))
             )
+    missing += [
+        f"The Sobol indices of {each.quantity} have 95 % intervals of up to +-{each.largest_interval:.2g}, "
+        f"but are shares between 0 and 1: {sweep.sampling.count} base samples are too few. Raise "
+        "sampling.count, for example to 64 or more."
+        for each in found
+        if each.largest_interval > WIDE
+    ]
     return found, " ".join(missing)
+
+
+def sobol_columns(parameters: Sequence[str], indices: Sequence[SobolIndices]) -> dict[str, list[Any]]:
+    """Columns of SOBOL: a row for each quantity and parameter."""
+    columns: dict[str, list[Any]] = {
+        "quantity": [each.quantity for each in indices for _ in parameters],
+        "parameter": [*parameters] * len(indices),
+    }
+    for name in ("first", "first_interval", "total", "total_interval"):
+        columns[name] = [float(value) for each in indices for value in getattr(each, name)]
+    return columns
+
+
+def sobol_table(table: ShownTable, indices: Sequence[SobolIndices]) -> PageTable:
+    """The indices as a table of the page."""
+    rows = [
+        (table.label(each.quantity), table.short_name(name), *(f"{number:.2f}" for number in numbers))
+        for each in indices
+        for name, *numbers in zip(table.parameters, *each[1:], strict=True)
+    ]
+    return PageTable(("quantity", "parameter", "first order", "+-", "total", "+-"), rows)
 
 
 def sobol_plot(table: ShownTable, indices: SobolIndices) -> Plot:

@@ -114,6 +114,21 @@ def test_short_names_of_parameters_are_different():
     ]  # fmt: skip
 
 
+def test_few_base_samples_have_a_sentence_and_their_indices_as_numbers(tmp_path):
+    """The page draws indices whose intervals are smaller than 1; sobol.csv has all of them."""
+    pytest.importorskip("SALib")
+    sampling = {"kind": "sobol", "count": 2}
+    sweep, table = swept(tmp_path, sampling=sampling)
+    (indices,), sentence = sobol_indices(sweep, table)
+    assert indices.largest_interval > 0.3 and "2 base samples are too few. Raise sampling.count" in sentence
+    write_sweep_page(tmp_path, sweep, table)
+    page = (tmp_path / "sweep.html").read_text()
+    assert "base samples are too few" in page and ">first order</th>" in page
+    rows = (tmp_path / "sobol.csv").read_text().splitlines()
+    assert rows[0] == "quantity,parameter,first,first_interval,total,total_interval" and len(rows) == 4
+    assert rows[1].startswith("mass_flow.out,a.x,") and float(rows[1].split(",")[2]) == indices.first[0]
+
+
 def test_missing_numbers_prevent_sobol_indices_with_a_reason(tmp_path):
     pytest.importorskip("SALib")
     sweep, table = swept(tmp_path, aborts=(4,), sampling={"kind": "sobol", "count": 4})
