@@ -225,7 +225,9 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
             f"apart{accept if needed <= LARGEST_OVERLAP else ''}."
         )
     if diagnosis.change is not None and pair.second.position is None:
-        return f"{description} {_change_cause(diagnosis.change, pair.second.name, plan)}"
+        cause = _appearance_cause(diagnosis.change, pair.second.name, plan)
+        if cause:
+            return f"{description} {cause}"
     description = f"{description} {_relative_motion(pair)}"
     if diagnosis.time_step > pair.stable_step and plan.step.is_given:
         return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"
@@ -257,17 +259,14 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
     return None
 
 
-def _change_cause(change: WallChange, wall: str, plan: Plan) -> str:
-    """Sentence on a particle that is in a wall since an insertion, or since the wall exists.
+def _appearance_cause(change: WallChange, wall: str, plan: Plan) -> str:
+    """Sentence on a particle where a wall appears; empty for another wall.
 
     `wall`: its name as in messages.
     """
     name = next((name for name in change.appeared if wall == f"wall {name}"), None)
     if name is None:
-        return (
-            "The particle was inserted there at this time: choose a region for the insertion that does not "
-            f"intersect {wall}."
-        )
+        return ""
     planned = next(each for each in plan.walls if each.name == name)
     keys = ([] if planned.spec.stages is None else [f"walls.{name}.stages"]) + (
         [f"walls.{name}.appears_at"] if planned.spec.start_time > 0.0 else []

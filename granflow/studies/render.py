@@ -397,8 +397,10 @@ class Scale:
 
 PERCENTILES = (1.0, 99.0)
 """Percentiles of all values in all frames that limit the range; values beyond have the color of the limit."""
-FROM_ZERO = 0.25
-"""A range begins at 0 if its lower limit is below this fraction of the upper one."""
+FROM_ZERO = 0.5
+"""A range begins at 0 if its lower limit is below this fraction of the upper one, but not that of a size."""
+SIZES = ("radius", "diameter")
+"""Quantities whose range does not begin at 0, so that sizes are told apart."""
 
 
 def scale_for(
@@ -419,7 +421,7 @@ def scale_for(
     name, _, axis = color.partition(".")
     if name in CATEGORIES:
         return Scale(color, name, "", 1.0, (0.0, 1.0), _categories(name, finite, names or {}))
-    low, high = limits or _range(finite, bool(axis), percentiles)
+    low, high = limits or _range(finite, bool(axis), percentiles, 0.0 if name in SIZES else FROM_ZERO)
     known = (PARTICLE_QUANTITIES, CONTACT_QUANTITIES, WALL_ARRAY_QUANTITIES)
     quantity = next((each[name] for each in known if name in each), None)
     factor, unit = prefixed(
@@ -437,11 +439,13 @@ def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]
     return {number: known[number] if number < len(known) else f"{name} {number}" for number in numbers}
 
 
-def _range(values: np.ndarray, signed: bool, percentiles: tuple[float, float]) -> tuple[float, float]:
+def _range(
+    values: np.ndarray, signed: bool, percentiles: tuple[float, float], from_zero: float
+) -> tuple[float, float]:
     """Range that contains the values between two percentiles.
 
-    It is symmetric for components, and begins at 0 if the lower limit is near 0. `values` (n,) [SI], all
-    finite; (0, 1) without values.
+    It is symmetric for components, and begins at 0 if the lower limit is below the fraction `from_zero` of
+    the upper one. `values` (n,) [SI], all finite; (0, 1) without values.
     """
     if not len(values):
         return 0.0, 1.0
@@ -449,7 +453,7 @@ def _range(values: np.ndarray, signed: bool, percentiles: tuple[float, float]) -
     if signed:
         high = max(abs(low), abs(high)) or 1.0
         return -high, high
-    if 0.0 <= low < FROM_ZERO * high:
+    if 0.0 <= low < from_zero * high:
         low = 0.0
     if low == high:
         return min(2.0 * high, 0.0), max(2.0 * high, 0.0) if high else 1.0

@@ -171,7 +171,8 @@ def test_without_a_limit_an_overlap_is_reported_and_the_run_goes_on(taichi_f64):
     """Hertz (1882): d = (5 M v^2 / (4 k))^(2/5), 0.31 of the radius; the report bounds it to a quarter."""
     largest = (5.0 * 0.5 * MASS * 20.0**2 / (4.0 * HERTZ)) ** 0.4 / 0.005
     steps, velocity, warnings = end_of(colliding({}))
-    first, last = warnings
+    forecast, first, last = warnings
+    assert forecast.startswith("particles of ball0 and ball1: an impact at 20 m/s")
     assert 0.1 < float(first.partition(") by ")[2].split()[0]) < 0.13
     low, high = (number_after(words, last) for words in ("between", "and"))
     assert low < largest < high and high == pytest.approx(1.25 * low, rel=0.02)

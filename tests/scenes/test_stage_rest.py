@@ -21,7 +21,7 @@ def settle(gap, energy, gravity=-GRAVITY, **stage):
     return build_scene(
         {"ball": particle_group([0, 0, RADIUS + gap])}, gravity=[0, 0, gravity],
         walls={"floor": plane([0, 0, 0], [0, 0, 1])}, normal="hertz", pair={"restitution": 0.3},
-        stages=[stage], run={"velocity_max": 1.0}, output={"interval": 1.0},
+        stages=[stage], run={"velocity_max": 1.0}, output={"interval": 0.01},
     )  # fmt: skip
 
 
