@@ -121,7 +121,7 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
         raise SceneError(shown)
     scene._document = document
     scene._folder = folder or Path()
-    scene._remarks = tuple(_unchanged_aliases(before, document.root, overrides))
+    scene._remarks = tuple(_unchanged_aliases(document, before, overrides))
     return scene
 
 
@@ -331,20 +331,25 @@ def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePos
     return replace(node, items=items)
 
 
-def _unchanged_aliases(before: Node, after: Node, overrides: Sequence[str]) -> Iterator[str]:
+def _unchanged_aliases(document: Document, before: Node, overrides: Sequence[str]) -> Iterator[str]:
     """A sentence for each override of a part that other keys share through an alias, and that these keep.
 
-    before, after:  the tree as in the file, and with all overrides
+    document, before:  with all overrides, and the root of the tree as in the file
 
     An override changes the key that it names alone, as in a resolved scene, which has no aliases.
     """
     for override in overrides:
         path, _, value = override.partition("=")
         keys = [key.strip() for key in path.split(".")]
+        places = tuple(int(key) if key.isdecimal() else key for key in keys)
+        is_shared = False
         for depth in range(1, len(keys) + 1):
-            node = _at(before, keys[:depth])
-            others = [each for each in _paths_to(node, before) if _at(after, each) is node]
-            if node is not None and others:
+            node = before.at(places[:depth])
+            is_shared |= any(node is each for each in document.aliased)
+            if node is None or not is_shared:
+                continue
+            others = [each for each in _paths_to(node, before) if document.find(each) is node]
+            if others:
                 same = [dotted([*each, *keys[depth:]]) for each in others]
                 keep = "keeps its value" if len(same) == 1 else "keep their values"
                 yield (
@@ -354,17 +359,7 @@ def _unchanged_aliases(before: Node, after: Node, overrides: Sequence[str]) -> I
                 break
 
 
-def _at(node: Node | None, path: Iterable[str | int]) -> Node | None:
-    """The node at a path below a node, or None; indices of lists as numbers or digits."""
-    for key in path:
-        is_index = node is not None and node.items is not None and str(key).isdecimal()
-        node = node.child(int(key) if is_index else key) if node is not None else None
-    return node
-
-
-def _paths_to(
-    wanted: Node | None, node: Node, path: tuple[str | int, ...] = ()
-) -> Iterator[tuple[str | int, ...]]:
+def _paths_to(wanted: Node, node: Node, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
     """All paths to a node that occurs several times below another."""
     if node is wanted:
         yield path

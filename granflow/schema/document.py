@@ -104,6 +104,13 @@ class Node:
             return self.items[key]
         return None
 
+    def at(self, path: KeyPath) -> "Node | None":
+        """The value at a path of keys and indices below; None if it does not exist."""
+        node: Node | None = self
+        for key in path:
+            node = node.child(key) if node is not None else None
+        return node
+
     def written_key(self, key: str | int) -> str | None:
         """The key in the file: for a face such as box.left that of the box; None without one."""
         entries = self.entries or {}
@@ -148,23 +155,22 @@ class MappingEntry:
 class Document:
     """The tree of one file, and its problems that do not prevent reading (duplicate keys).
 
-    `subject`: what the file describes, at the beginning of messages about the whole.
+    `subject`: what the file describes, at the beginning of messages about the whole. `aliased`: the nodes
+    that several keys share through an alias.
     """
 
     source: str
     root: Node
     problems: list[Problem] = field(default_factory=list)
     subject: str = "the scene"
+    aliased: list[Node] = field(default_factory=list)
 
     def find(self, path: KeyPath) -> Node | None:
         """The value at a path of keys and indices; None if it does not exist.
 
         Union tags are not part of the path; see `messages.path_in_file`.
         """
-        node: Node | None = self.root
-        for key in path:
-            node = node.child(key) if node is not None else None
-        return node
+        return self.root.at(path)
 
     def key_position(self, path: KeyPath) -> SourcePosition:
         """Source position of the key at a path, or of the nearest existing parent key."""
@@ -227,6 +233,7 @@ class _Composer:
         self.with_positions = with_positions
         self.anchors: dict[str, Node | None] = {}
         self.problems: list[Problem] = []
+        self.aliased: list[Node] = []
 
     def compose(self, text: str) -> Document:
         """The document with positions, aliases resolved to shared nodes. Raises DocumentError."""
@@ -246,7 +253,8 @@ class _Composer:
             raise DocumentError(
                 Problem(SourcePosition(self.source), f"this is not YAML text: {first}.")
             ) from None
-        return Document(self.source, root or Node(self._position(1, 1)), self.problems)
+        root = root or Node(self._position(1, 1))
+        return Document(self.source, root, self.problems, aliased=self.aliased)
 
     def _printable(self, text: str) -> None:
         """Raise DocumentError with the position of the first character that YAML does not allow."""
@@ -305,6 +313,7 @@ class _Composer:
         node = self.anchors[event.anchor]
         if node is None:
             raise self._error(event, f"the alias *{event.anchor} contains itself")
+        self.aliased.append(node)
         return node
 
     def _list(self, start: SequenceStartEvent, events: Iterator[Event]) -> Node:

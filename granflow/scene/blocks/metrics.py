@@ -167,6 +167,14 @@ def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
     return np.asarray(np.logical_and(above, below).all(axis=1))
 
 
+def _in_groups(
+    particles: Mapping[str, np.ndarray], names: Collection[str] | None, scene: MeasuredScene
+) -> np.ndarray:
+    """Whether each particle (n,) belongs to one of the groups; to any without names."""
+    numbers = [scene.groups.index(name) for name in names or scene.groups]
+    return np.isin(particles["group"], numbers)
+
+
 def _bodies(particles: Mapping[str, np.ndarray]) -> np.ndarray:
     """Number (n,), from 0, of the clump of each sphere, or of a sphere without one."""
     own = particles["id"]
@@ -933,10 +941,8 @@ class OrientationMetric(Metric):
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; of the clumps whose center of mass is inside the region."""
         particles = mobile_particles(snapshot.particles)
-        if self.groups:
-            groups = [scene.groups.index(name) for name in self.groups]
-            particles = selected(particles, np.isin(particles["group"], groups))
-        particles = selected(particles, particles["clump"] >= 0)
+        chosen = _in_groups(particles, self.groups, scene) & (particles["clump"] >= 0)
+        particles = selected(particles, chosen)
         body = _bodies(particles)
         position = _unwrapped(particles["position"].astype(float), body, scene.domain)
         mass = particles["mass"].astype(float)
@@ -1300,8 +1306,8 @@ class CenterOfMassMetric(Metric):
         """See `Metric`."""
         particles = mobile_particles(snapshot.particles)
         if self.groups:
-            groups = [scene.groups.index(name) for name in self.groups]
-            particles = selected(snapshot.particles, np.isin(snapshot.particles["group"], groups))
+            chosen = _in_groups(snapshot.particles, self.groups, scene)
+            particles = selected(snapshot.particles, chosen)
         if self.smaller_than is not None:
             particles = selected(particles, 2.0 * particles["radius"] < self.smaller_than)
         if self.at_least is not None:
@@ -1362,9 +1368,8 @@ class GranularTemperatureMetric(Metric):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; NaN if no cell has two particles."""
-        groups = [scene.groups.index(name) for name in self.groups or scene.groups]
         particles = mobile_particles(snapshot.particles)
-        own = np.isin(particles["group"], groups) & _inside(particles["position"], self.region)
+        own = _in_groups(particles, self.groups, scene) & _inside(particles["position"], self.region)
         velocity = particles["velocity"][own].astype(float)
         cell = np.zeros(len(velocity), np.int64)
         if self.cell is not None:
