@@ -1,7 +1,7 @@
 """Random mutations of the source: which tests detect which error.
 
     python tools/mutations.py draw 400 --seed 1 --out mutations.json [--places FILE ...]
-    python tools/mutations.py run mutations.json results.jsonl [ARGUMENT of pytest ...]
+    python tools/mutations.py run mutations.json results.jsonl [--executed FOLDER] [ARGUMENT of pytest ...]
     python tools/mutations.py cover results.jsonl durations.txt
 
 `draw` chooses statements, operators, numbers and conditions of the core at random, each place with the same
@@ -9,8 +9,11 @@ probability, and one error at each place: the operators of Cosmic Ray (`pip inst
 removal of a statement. `run` inserts one error at a time into a copy of the clone, runs pytest there, and
 appends the tests that fail; a repetition goes on where the last one ended. Test files that name the module
 of the error run first, then those of its part; with `-x` among the arguments, `run` thus soon knows whether
-an error is detected. `cover` names the tests that suffice for all detected errors, by their time (a file
-written by `pytest --durations=0 --durations-min=0`), and the rate of detection.
+an error is detected. With the files of `tools/executed_lines.py`, only tests run that execute the line of the
+error or inline its device function; an error on a line that no test executes survives at once, and one on a
+line outside of functions concerns all tests that execute another line of the module. `cover` names the tests
+that suffice for all detected errors, by their time (a file written by `pytest --durations=0
+--durations-min=0`), and the rate of detection.
 """
 
 import argparse
@@ -44,8 +47,8 @@ LEFT_OUT = re.compile(
     r"RemoveDecorator|ExceptionReplacer|Variable|_(BitXor|BitOr|BitAnd|LShift|RShift|FloorDiv|Mod|Pow|Is|IsNot)$"
 )
 """Operators of Cosmic Ray whose errors do not occur in practice, such as a name that does not exist."""
-LONGEST = 1500.0
-"""Time limit [s] of pytest; an error that exceeds it counts as detected."""
+LONGEST = 7200.0
+"""Time limit [s] of pytest; an error that exceeds it counts as detected. A single test has its own limit."""
 
 
 class RemoveStatement(Operator):
@@ -132,17 +135,52 @@ def mutated(source: str, mutation: dict) -> str:
     return MutationVisitor.mutate_code(source, operators()[mutation["operator"]], mutation["occurrence"])
 
 
-def nearest_first(copy: Path, file: str) -> list[str]:
-    """Test files: those that name the module of a source file, those of its part, all others."""
+def nearest_first(copy: Path, file: str, tests: Iterable[str] | None = None) -> list[str]:
+    """These tests, or all files: those that name the module of a source file, those of its part, all others."""
     module = file.removesuffix(".py").replace("/", ".")
 
-    def distance(path: Path) -> int:
-        if module in path.read_text(encoding="utf-8"):
+    @cache
+    def distance(path: str) -> int:
+        if module in (copy / path).read_text(encoding="utf-8"):
             return 0
-        return 1 if path.parent.name == Path(file).parts[1] else 2
+        return 1 if Path(path).parent.name == Path(file).parts[1] else 2
 
-    paths = sorted((copy / "tests").rglob("test_*.py"))
-    return [path.relative_to(copy).as_posix() for path in sorted(paths, key=distance)]
+    if tests is None:
+        tests = [path.relative_to(copy).as_posix() for path in (copy / "tests").rglob("test_*.py")]
+    return sorted(tests, key=lambda test: (distance(test.split("::")[0]), test))
+
+
+class Executed:
+    """Tests by the line and by the device function that they execute, see `tools/executed_lines.py`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._lines: dict[str, set[str]] = defaultdict(set)
+        self._functions: dict[str, set[str]] = defaultdict(set)
+        for path in folder.glob("*.json"):
+            found = json.loads(path.read_text(encoding="utf-8"))
+            for into, part in ((self._lines, "lines"), (self._functions, "functions")):
+                for place, tests in found[part].items():
+                    into[place] |= {test.split("[")[0] for test in tests}
+
+    def tests_of(self, file: str, line: int) -> set[str]:
+        """Tests that execute a line, without the cases of their parameters."""
+        tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+        found = set()
+        inside = False
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and node.lineno <= line <= (node.end_lineno or 0):
+                inside = True
+                first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
+                found |= self._functions[f"{file}:{first}"]
+            if isinstance(node, ast.stmt) and not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                if node.lineno <= line <= (node.end_lineno or 0) and not hasattr(node, "body"):
+                    found |= self._lines[f"{file}:{node.lineno}"]
+        found |= self._lines[f"{file}:{line}"]
+        if not inside:
+            found |= {
+                test for place, tests in self._lines.items() if place.startswith(f"{file}:") for test in tests
+            }
+        return found - {""}
 
 
 def failed_tests(copy: Path, arguments: Iterable[str]) -> list[str]:
@@ -159,20 +197,21 @@ def failed_tests(copy: Path, arguments: Iterable[str]) -> list[str]:
     return found or ([""] if done.returncode else [])
 
 
-def run(mutations: list[dict], results: Path, arguments: list[str]) -> None:
+def run(mutations: list[dict], results: Path, executed: Executed | None, arguments: list[str]) -> None:
     """Append the failed tests of each error to the results."""
     done = results.read_text(encoding="utf-8").splitlines() if results.is_file() else []
     with tempfile.TemporaryDirectory() as folder:
         copy_to(Path(folder))
-        if failed := failed_tests(Path(folder), arguments):
+        if executed is None and (failed := failed_tests(Path(folder), arguments)):
             raise SystemExit(f"Without an error, these tests fail: {failed}")
         for mutation in mutations[len(done) :]:
             path = Path(folder, mutation["file"])
             source = path.read_text(encoding="utf-8")
             write_later(path, mutated(source, mutation))
+            tests = executed and executed.tests_of(mutation["file"], mutation["line"])
             chosen = any(each.startswith("tests") for each in arguments)
-            order = [] if chosen else nearest_first(Path(folder), mutation["file"])
-            failed = failed_tests(Path(folder), [*arguments, *order])
+            order = [] if chosen else nearest_first(Path(folder), mutation["file"], tests)
+            failed = failed_tests(Path(folder), [*arguments, *order]) if chosen or order else []
             write_later(path, source)
             with results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(mutation | {"failed": failed}) + "\n")
@@ -204,6 +243,7 @@ def main() -> None:
     one = commands.add_parser("run")
     one.add_argument("mutations", type=Path)
     one.add_argument("results", type=Path)
+    one.add_argument("--executed", type=Path)
     one = commands.add_parser("cover")
     one.add_argument("results", type=Path)
     one.add_argument("durations", type=Path)
@@ -211,7 +251,8 @@ def main() -> None:
     if options.command == "draw":
         options.out.write_text(json.dumps(draw(options.count, options.seed, options.places), indent=0))
     elif options.command == "run":
-        run(json.loads(options.mutations.read_text()), options.results, arguments)
+        executed = Executed(options.executed) if options.executed else None
+        run(json.loads(options.mutations.read_text()), options.results, executed, arguments)
     else:
         results = [json.loads(line) for line in options.results.read_text().splitlines()]
         times = re.findall(r"^([\d.]+)s (?:call|setup) +(\S.*)$", options.durations.read_text(), re.MULTILINE)

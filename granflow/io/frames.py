@@ -10,10 +10,10 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from html import escape
 from io import FileIO
 from pathlib import Path
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -173,7 +173,7 @@ class FrameSeries:
 def _entry(time: float, name: str) -> bytes:
     """Return the line of the PVD file for one frame, UTF-8; the time [s] is written with all digits of its
     value."""
-    return f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>\n'.encode()
+    return f'    <DataSet timestep="{time!r}" part="0" file="{escape(name)}"/>\n'.encode()
 
 
 def _insert_before_tail(path: Path, size: int, entry: bytes) -> None:
@@ -251,7 +251,7 @@ def write_pvtu(path: Path, pieces: Sequence[Piece]) -> None:
         "<PPointData>",
         *rows[1:],
         "</PPointData>",
-        *(f"<Piece Source={quoteattr(piece.name)}/>" for piece in filled),
+        *(f'<Piece Source="{escape(piece.name)}"/>' for piece in filled),
         "</PUnstructuredGrid>",
         "</VTKFile>",
         "",
@@ -262,7 +262,7 @@ def write_pvtu(path: Path, pieces: Sequence[Piece]) -> None:
 def _attributes(name: str, kind: str, components: int) -> str:
     """XML attributes of an array."""
     shown = f' NumberOfComponents="{components}"' if components > 1 else ""
-    return f' type="{kind}" Name={quoteattr(name)}{shown}'
+    return f' type="{kind}" Name="{escape(name)}"{shown}'
 
 
 def pieces_in(path: Path) -> list[Path]:

@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Protocol
 
@@ -167,6 +166,8 @@ def versions() -> str:
 
 def version_of(package: str) -> str:
     """Return the version of an installed package, or "not installed"."""
+    from importlib import metadata  # its import takes 15 ms of each start
+
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

@@ -8,9 +8,9 @@ units and other numbers are added as field data; and a frame without cells gets 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -128,7 +128,7 @@ def _short(corners: np.ndarray) -> np.ndarray:
 def _attribute(text: str) -> str:
     """Text as the value of an XML attribute, ASCII: meshio writes names as they are, in the encoding of the
     system."""
-    return escape(text, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace").decode()
+    return escape(text).encode("ascii", "xmlcharrefreplace").decode()
 
 
 def _add_field_data(path: Path, numbers: Mapping[str, int | float]) -> None:
