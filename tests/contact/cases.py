@@ -225,17 +225,8 @@ PLAIN = (
     case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
     case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
 )
-COHESIVE = (
-    "zhou_impact",
-    "hertz_elastic",
-    "linear_number",
-    "thornton",
-    "walton_braun_number",
-    "luding_tension",
-)
-CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in (*COHESIVE, "kuwabara_kono")))
-
-
+COHESIVE = ("zhou_impact", "walton_braun_number", "luding_tension", "kuwabara_kono")
+CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in COHESIVE))
 CONTINUOUS = tuple(each for each in CASES if each.name != "zhou_without_rebound")
 """Cases that are defined without a time step; at restitution 0 the time step limits the unloading
 stiffness."""

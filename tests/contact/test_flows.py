@@ -1,13 +1,12 @@
-"""A contact model of electric conduction and the equation of a potential, registered by a program: sums that
-models declare, and particle equations."""
+"""A contact model of electric conduction and the equation of a potential, registered by a program."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
 import pytest
 from pydantic import Field
+from scene_builders import build_scene, particle_group, plane
 
 from granflow import Scene, Simulation, register_contact_model, register_particle_equation
 from granflow.contact import registry
@@ -15,12 +14,8 @@ from granflow.contact.law import ContactModel, Flow, PairProperties
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.particle_equation import MaterialProperties, ParticleEquation
 from granflow.device_functions import ti
-from granflow.errors import FunctionError, GranflowError, RunError, SceneError
-from granflow.plan.build import plan_for
-from granflow.scene.registration import (
-    unregister_contact_model,
-    unregister_particle_equation,
-)
+from granflow.errors import FunctionError, GranflowError, RunError
+from granflow.scene.registration import unregister_contact_model, unregister_particle_equation
 from granflow.schema.quantities import NotNegative, Number
 
 CONDUCTANCE, CAPACITANCE, DENSITY, RADIUS = 2e-2, 0.5, 2500.0, 0.005
@@ -118,59 +113,35 @@ def registered():
         unregister_contact_model(model)
 
 
-FLOOR = {"shape": "plane", "point": [0, 0, -0.99 * RADIUS], "normal": [0, 0, 1], "material": "glass"}
 GLASS = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY, "specific_capacitance": CAPACITANCE}
-USUAL = {
-    "title": "Electric conduction",
-    "gravity": [0, 0, -9.81],
-    "materials": {"glass": GLASS},
-    "walls": {"floor": FLOOR},
-    "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
-    "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0},
-    "output": {"interval": 1.0},
-}
 
 
-def scene_of(positions, potentials, chunk_size=1, law="conducting", pair=None, **parts):
+def scene_of(positions, potentials, chunk_size=1, law="conducting", pair=None):
     """A scene of spheres above a floor, one group per potential; the first is fixed.
 
-    The floor touches a sphere at the origin. All these scenes share their kernels, but for chunks and precision.
+    The floor touches a sphere at the origin. All these scenes share their kernels, but for chunks.
     """
     groups = {
-        f"group_{number}": {
-            "material": "glass",
-            "diameter": 2.0 * RADIUS,
-            "potential": potential,
-            "fixed": number == 0,
-            "insert": {"kind": "positions", "positions": np.atleast_2d(own).tolist()},
-        }
+        f"group_{number}": particle_group(own, 2.0 * RADIUS, potential=potential) | {"fixed": number == 0}
         for number, (own, potential) in enumerate(zip(positions, potentials, strict=True))
     }
     given = {"restitution": 0.8, "friction": 0.0, "conductance": CONDUCTANCE} | (pair or {})
-    return Scene.from_dict(
-        USUAL
-        | {
-            "pairs": {"glass-glass": given},
-            "contact": {"normal": law, "tangential": "none", "rolling": "none"},
-            "particles": groups,
-            "numerics": {"chunk_size": chunk_size, "max_overlap": 0.1},
-        }
-        | parts
-    )
+    return build_scene(
+        groups, {"floor": plane([0, 0, -0.99 * RADIUS], [0, 0, 1])}, given,
+        materials={"glass": GLASS}, contact={"normal": law, "tangential": "none", "rolling": "none"},
+        gravity=[0, 0, -9.81], numerics={"chunk_size": chunk_size, "max_overlap": 0.1},
+        run={"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0},
+    )  # fmt: skip
 
 
 PAIR = [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 2.0 * RADIUS - 1.1e-5]]]
 """A sphere that rests on a fixed one."""
 
 
-def check_exchange(chunk_size, precision):
-    """Two spheres exchange charge until their potentials are equal.
-
-    V1 - V2 = D exp(-2 h t / (m c)), and V1 + V2 is constant.
-    """
-    scene = scene_of(PAIR, (HIGH, LOW), chunk_size)
-    with Simulation(scene, threads=2, precision=precision) as simulation:
-        assert (simulation.engine.state.batch is not None) == (chunk_size > 1)
+def test_two_spheres_exchange_charge_until_their_potentials_are_equal():
+    """V1 - V2 = D exp(-2 h t / (m c)), and V1 + V2 is constant."""
+    with Simulation(scene_of(PAIR, (HIGH, LOW), chunk_size=16), threads=2) as simulation:
+        assert simulation.engine.state.batch is not None
         samples = [simulation.snapshot().particles["potential"].tolist()]
         for _ in range(8):
             simulation.step(50)
@@ -181,58 +152,40 @@ def check_exchange(chunk_size, precision):
     assert len(set(potentials.sum(axis=1).tolist())) == 1
     decay = 2.0 * CONDUCTANCE * TIME_STEP / (MASS * CAPACITANCE)
     steps = 50 * np.arange(9)
-    explicit = (HIGH - LOW) * (1.0 - decay) ** steps
-    tolerance = 1e-12 if precision == "f64" else 1e-6
     difference = -np.diff(potentials, axis=1)[:, 0]
-    np.testing.assert_allclose(difference, explicit, rtol=tolerance)
+    np.testing.assert_allclose(difference, (HIGH - LOW) * (1.0 - decay) ** steps, rtol=1e-12)
     np.testing.assert_allclose(difference, (HIGH - LOW) * np.exp(-decay * steps), rtol=decay)
 
 
-def bed(chunk_size, **parts):
+def bed(chunk_size):
     """Touching spheres in motion above a floor, in four groups of different potentials, and a fixed one."""
     positions = 1.99 * RADIUS * np.argwhere(np.ones((4, 4, 4)))
     rng = np.random.default_rng(2)
     groups = [positions[:1], *(positions[1 + k :: 4] for k in range(4))]
-    scene = scene_of(groups, (300.0, HIGH, LOW, 297.0, 306.0), chunk_size, **parts).to_dict()
+    scene = scene_of(groups, (300.0, HIGH, LOW, 297.0, 306.0), chunk_size).to_dict()
     for group in scene["particles"].values():
         count = len(group["insert"]["positions"])
         group["velocity"] = rng.normal(0.0, 0.3, (count, 3)).tolist() if not group["fixed"] else [0, 0, 0]
     return Scene.from_dict(scene)
 
 
-def state_of(simulation):
-    """Lists of all arrays of the particles."""
-    return {name: values.tolist() for name, values in simulation.snapshot().particles.items()}
-
-
-def check_bed(chunk_sizes, precision):
-    """A bed that touches the floor conserves its charge, with the same bits for chunks."""
+def test_a_bed_has_the_same_bits_for_chunks_and_conserves_its_charge():
+    """With a model that gives walls no value, also where it touches the floor."""
     found = []
-    for chunk_size in chunk_sizes:
-        with Simulation(bed(chunk_size), threads=2, precision=precision) as simulation:
+    for chunk_size in (1, 16):
+        with Simulation(bed(chunk_size), threads=2) as simulation:
             before = simulation.snapshot().particles["potential"].sum()
             simulation.step(300)
-            found.append(state_of(simulation))
-            flows = simulation.snapshot().particles["current"]
-            assert simulation.snapshot().totals["wall_contact_count"] > 0
-    assert all(each == found[0] for each in found[1:])
+            last = simulation.snapshot()
+            found.append({name: values.tolist() for name, values in last.particles.items()})
+    assert found[0] == found[1] and last.totals["wall_contact_count"] > 0
+    flows, potential = last.particles["current"], last.particles["potential"]
     assert np.count_nonzero(flows) > 10 and flows.sum() == 0.0
-    potential = np.array(found[0]["potential"])
-    assert potential.sum() == pytest.approx(before, rel=1e-14 if precision == "f64" else 1e-8)
+    assert potential.sum() == pytest.approx(before, rel=1e-14)
     assert potential.std() > 0 and LOW <= potential.min() and potential.max() <= HIGH
 
 
-@pytest.mark.parametrize("chunk_size", [1, 16])
-def test_two_spheres_exchange_charge_until_their_potentials_are_equal(chunk_size):
-    check_exchange(chunk_size, "f64")
-
-
-def test_a_bed_has_the_same_bits_for_chunks_and_conserves_its_charge():
-    check_bed((1, 16), "f64")
-
-
-def test_walls_have_the_value_that_the_model_gives_them():
-    """With a model that gives them none, the bed above, which touches the floor, conserves its charge."""
+def test_walls_have_the_value_that_the_model_gives_them_and_a_flow_above_its_bound_is_an_error():
     pair = {"bound_share": 1.0, "conductance": CONDUCTANCE}
     scene = scene_of([[[0.5, 0.0, 0.0]], [[0.0, 0.0, 0.0]]], (HIGH, HIGH), law="grounded", pair=pair)
     with Simulation(scene, threads=2) as simulation:
@@ -240,43 +193,12 @@ def test_walls_have_the_value_that_the_model_gives_them():
         found = simulation.snapshot().particles["potential"][1]
     decay = CONDUCTANCE * TIME_STEP / (MASS * CAPACITANCE)
     assert found == pytest.approx(300.0 + (HIGH - 300.0) * (1.0 - decay) ** 5, rel=1e-9)
-
-
-def test_a_flow_above_its_bound_is_an_error():
-    pair = {"bound_share": 1e-9, "conductance": CONDUCTANCE}
+    scene = scene_of(PAIR, (HIGH, LOW), law="grounded", pair=pair | {"bound_share": 1e-9})
     with (
-        Simulation(scene_of(PAIR, (HIGH, LOW), law="grounded", pair=pair), threads=2) as simulation,
+        Simulation(scene, threads=2) as simulation,
         pytest.raises(RunError, match=r"one of the flows to particle 0 .*current, is not a number or more"),
     ):
         simulation.step(2)
-
-
-def test_missing_keys_and_a_long_time_step_are_errors():
-    scene = scene_of(PAIR, (HIGH, LOW)).to_dict()
-    del scene["particles"]["group_0"]["potential"], scene["materials"]["glass"]["specific_capacitance"]
-    with pytest.raises(SceneError) as error:
-        plan_for(Scene.from_dict(scene))
-    assert "particles.group_0.potential is missing" in str(error.value)
-    assert "materials.glass.specific_capacitance is missing" in str(error.value)
-    scene = scene_of(PAIR, (HIGH, LOW)).to_dict()
-    scene["materials"]["glass"]["specific_capacitance"] = 1e-5
-    with pytest.raises(SceneError, match=r"up to which the equation of the potential is stable"):
-        plan_for(Scene.from_dict(scene))
-    with pytest.raises(SceneError, match=r"run.precision is f32, but the change of potential in one step"):
-        plan_for(scene_of(PAIR, (HIGH, LOW)).with_precision("f32"))
-
-
-def test_a_scene_without_the_model_has_no_sums():
-    scene = scene_of(PAIR, (HIGH, LOW)).to_dict()
-    scene["contact"]["normal"] = "hertz"
-    del scene["pairs"]["glass-glass"]["conductance"]
-    with pytest.raises(SceneError, match=r"potential has no effect: no contact model .* flow current"):
-        Scene.from_dict(scene)
-    for group in scene["particles"].values():
-        del group["potential"]
-    plan = plan_for(Scene.from_dict(scene))
-    assert plan.features.flows == plan.laws.flows == plan.scene.equations == ()
-    assert not plan.flow_units and all(a != b for a, b in pairwise(plan.laws.names))
 
 
 def test_a_normal_model_acts_without_the_values_of_its_properties():
@@ -291,8 +213,8 @@ def test_a_normal_model_acts_without_the_values_of_its_properties():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"name": "count"}, "particle equation count: a key of particle groups has this name"),
-        ({"name": "charge", "flows": "current"}, "flows is 'current', but must be a tuple of names"),
+        ({"name": "count"}, "a key of particle groups has this name"),
+        ({"name": "charge", "flows": "current"}, "but must be a tuple of names"),
         ({}, "particle equation potential: an equation of this name exists"),
     ],
 )
@@ -323,13 +245,16 @@ class OtherFlow(Conducting):
 @pytest.mark.parametrize(
     ("equation", "law", "error", "message"),
     [
-        (VectorRate(), Conducting, FunctionError, "The function rate of the equation of the potential cannot be "
-         r"compiled: \S*test_flows.py:\d+: rate must return one number \[V / s\]"),
-        (EQUATION, OtherFlow, FunctionError, "The function flow of the contact model conducting cannot be "
-         r"compiled: \S*test_flows.py:\d+: flow must return a ti.Struct with its flows \(current\)"),
+        (
+            VectorRate(),
+            Conducting,
+            FunctionError,
+            r"test_flows.py:\d+: rate must return one number \[V / s\]",
+        ),
+        (EQUATION, OtherFlow, FunctionError, r"flow must return a ti.Struct with its flows \(current\)"),
         (InfiniteRate(), Conducting, RunError, r"the potential of .* is not a finite number"),
     ],
-)  # fmt: skip
+)
 def test_functions_that_return_something_else_are_reported(equation, law, error, message):
     registry.remove(MODELS[0])  # the schema stays, because names and keys are those of the module
     registry.remove_equation(EQUATION)
@@ -344,10 +269,3 @@ def test_functions_that_return_something_else_are_reported(equation, law, error,
         registry.remove(model)
         registry.add(MODELS[0])
         registry.add_equation(EQUATION)
-
-
-@pytest.mark.slow
-def test_charge_is_exchanged_and_conserved_in_mixed_precision():
-    """The last test of this file, because another precision restarts Taichi, which loses all compiled kernels."""
-    check_exchange(16, "mixed")
-    check_bed((16,), "mixed")

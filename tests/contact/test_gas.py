@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scene_builders import build_scene, particle_group
 from scipy.integrate import quad
 
-from granflow import Scene, Simulation
+from granflow import Simulation
 from granflow.contact.heat.conduction import Conduction
 from granflow.contact.heat.gas import Gas
 from granflow.contact.material import PairMaterial, modulus_eff
@@ -35,24 +36,16 @@ def mass(radius):
     return DENSITY * 4.0 / 3.0 * np.pi * radius**3
 
 
-def gas_scene():
+def gas_scene(fixed=False):
     """Pairs of spheres, the second one of another material, and spheres at plates with temperatures.
 
     Only the first material has a true modulus.
     """
-    material = {
-        "young_modulus": YOUNG,
-        "poisson_ratio": POISSON,
-        "density": DENSITY,
-        "heat_capacity": CAPACITY,
-    }
     groups, walls = {}, {}
 
     def add(name, of, radius, x, y, temperature):
-        groups[name] = {
-            "material": of, "diameter": 2.0 * radius, "temperature": temperature,
-            "insert": {"kind": "positions", "positions": [[x, y, 0.0]]},
-        }  # fmt: skip
+        group = particle_group([[x, y, 0.0]], 2.0 * radius, of, temperature=temperature)
+        groups[name] = group | {"fixed": fixed}
 
     for k, (radius, other, overlap) in enumerate(SPHERES):
         add(f"first_{k}", "sphere", radius, 0.0, 0.03 * k, COLD)
@@ -63,29 +56,19 @@ def gas_scene():
             "shape": "rectangle", "corner": [0.1, 0.03 * k - 0.01, -0.01], "sides": [[0, 0.02, 0], [0, 0, 0.02]],
             "material": "other", "temperature": HOT,
         }  # fmt: skip
-    materials = {
-        "sphere": material | {"thermal_conductivity": SOLID, "true_young_modulus": TRUE_YOUNG},
-        "other": material | {"thermal_conductivity": OTHER},
-    }
+    solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "density": DENSITY, "heat_capacity": CAPACITY}
     gas = {"conductivity": GAS, "min_gap": GAP, "film": FILM}
-    pair = {"restitution": 1.0, "friction": 0.0}
-    return Scene.from_dict(
-        {
-            "title": "Gas between spheres and plates",
-            "gravity": [0, 0, 0],
-            "materials": materials,
-            "pairs": {"sphere-sphere": pair, "sphere-other": pair, "other-other": pair},
-            "contact": {
-                "normal": "hertz", "tangential": "none", "rolling": "none",
-                "heat": {"law": "conduction", "gas": gas},
-            },
-            "particles": groups,
-            "walls": walls,
-            "domain": {"min": [-0.1] * 3, "max": [0.5] * 3, "on_exit": "error"},
-            "numerics": {"max_overlap": 0.3},
-            "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 0.1},
-            "output": {"interval": 1.0},
-        }
+    return build_scene(
+        groups, walls, {"restitution": 1.0},
+        materials={
+            "sphere": solid | {"thermal_conductivity": SOLID, "true_young_modulus": TRUE_YOUNG},
+            "other": solid | {"thermal_conductivity": OTHER},
+        },
+        contact={
+            "normal": "hertz", "tangential": "none", "rolling": "none", "heat": {"law": "conduction", "gas": gas},
+        },
+        domain={"min": [-0.1] * 3, "max": [0.5] * 3, "on_exit": "error"}, numerics={"max_overlap": 0.3},
+        run={"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 0.1},
     )  # fmt: skip
 
 
@@ -182,17 +165,10 @@ def test_without_the_resistance_of_the_solid_the_gas_alone_limits_the_flow():
     assert gas_only == pytest.approx((4.0, 1.0, 0.0, 0.0))
 
 
-def test_a_bed_of_fixed_particles_is_a_warning():
-    scene = gas_scene().to_dict()
-    for group in scene["particles"].values():
-        group["fixed"] = True
-    warnings = [each.warning for each in plan_for(Scene.from_dict(scene)).forecasts if each.warning]
-    assert any("all particles are fixed" in each and "heat_flow is 0" in each for each in warnings)
-    assert not any("fixed" in (each.warning or "") for each in plan_for(gas_scene()).forecasts)
-
-
-def test_a_smallest_gap_beyond_the_film_is_a_warning():
+def test_fixed_particles_and_a_smallest_gap_beyond_the_film_are_warnings():
     """The film of the largest sphere has 0.6 of 5 mm."""
+    warned = ["all particles are fixed" in " ".join(plan_for(gas_scene(f)).warnings) for f in (True, False)]
+    assert warned == [True, False]
     for gap, is_beyond in ((3.1e-3, True), (2.9e-3, False)):
         laws = SimpleNamespace(by_slot={"heat": Conduction(gas=Gas(GAS, gap, FILM, True, 5e-3 * FILM))})
         found = list(gap_findings(SimpleNamespace(laws=laws)))

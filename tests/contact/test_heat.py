@@ -13,7 +13,6 @@ from granflow.contact.material import PairMaterial, modulus_eff
 from granflow.engine.totals import ended_contacts_dissipation
 from granflow.errors import GranflowError, SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.explain import explain
 
 RADIUS, DENSITY, YOUNG, POISSON = 0.005, 2500.0, 1e7, 0.25
 MASS = DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
@@ -193,44 +192,28 @@ def check_changes_from_python(simulation):
     assert simulation.particles.temperature[0] != 350.0
     particles.temperature *= 2.0
     assert simulation.snapshot().totals["heat_content"] == pytest.approx(2.0 * content, rel=0.01)
-    with pytest.raises(GranflowError, match=r"temperature would be 0 K, but a temperature is above 0 K"):
+    with pytest.raises(GranflowError, match="a temperature is above 0 K"):
         particles.temperature[0] = 0.0
 
 
 ROD = [[-1.5e-3, 0.0, 0.0], [0.0, 0.0, 0.0], [1.5e-3, 0.0, 0.0]]
 
 
-def bed(normal="hertz", **contact):
-    """A lattice in fast motion between walls, one of which is hot, and rods that fall onto it; without `contact`
-    they have no heat."""
+def bed(heat):
+    """A lattice in fast motion between walls, one of which is hot, and rods that fall onto it."""
     walls = box(0.042)
-    materials = {"glass": SOFT}
     lattice = moving_lattice((6, 6, 4), largest=0.0062, speed=1.0)
     sites = [[0.006, 0.01, 0.034], [0.021, 0.012, 0.034], [0.021, 0.03, 0.034]]
     rods = clump_group(sites, ROD, 1.4e-3, "random", velocity=[-1.0, 0.0, -4.0])
-    if contact:
-        walls["low_x"]["temperature"] = HOT
-        lattice["temperature"] = rods["temperature"] = COLD
-        materials = {"glass": SOFT | {"thermal_conductivity": 50.0, "heat_capacity": 1.0}}
-    models = {"normal": normal, "tangential": "mindlin", "rolling": "epsd"} | contact
+    walls["low_x"]["temperature"] = HOT
+    lattice["temperature"] = rods["temperature"] = COLD
     return build_scene(
-        {"lattice": lattice, "rods": rods}, walls, materials=materials, contact=models,
+        {"lattice": lattice, "rods": rods}, walls, materials={"glass": SOFT | {"thermal_conductivity": 50.0, "heat_capacity": 1.0}},
+        contact={"normal": "zhou", "tangential": "mindlin", "rolling": "epsd", "heat": heat},
         pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
         numerics={"chunk_size": 32, "skin": 2e-4}, output={"interval": 1.0, "energy_budget": True},
         run={"duration": 3e-3, "velocity_max": 6.0, "time_step": 2e-6},
     )  # fmt: skip
-
-
-def test_heat_does_not_change_the_motion():
-    found = []
-    for scene in (bed(), bed(heat="conduction")):
-        with Simulation(scene, threads=2) as simulation:
-            simulation.step(800)
-            found.append(simulation.snapshot().particles)
-    without, with_heat = found
-    assert with_heat["temperature"].max() > COLD
-    assert set(with_heat) - set(without) == {"temperature", "heat_flow"}
-    assert all(without[name].tolist() == with_heat[name].tolist() for name in without)
 
 
 def test_the_losses_of_contacts_become_heat():
@@ -238,7 +221,7 @@ def test_the_losses_of_contacts_become_heat():
 
     The plastic work of a contact becomes heat when the contact ends; the budget has that of the others, too.
     """
-    scene = bed("zhou", heat={"law": "conduction", "from_dissipation": True})
+    scene = bed({"law": "conduction", "from_dissipation": True})
     with Simulation(scene, threads=2) as simulation:
         start = simulation.snapshot().totals
         simulation.step(1500)
@@ -431,40 +414,11 @@ def test_stages_set_temperatures_and_sources_of_heat():
     assert changed["heat_content_set"] - added == pytest.approx(10.0 * CAPACITY, rel=1e-6)
 
 
-def test_viscous_losses_become_heat_when_the_budget_counts_them(taichi_f64):
-    """The loss of a viscous force has the mean of its power at both ends of a step: of the present power, half
-    belongs to the next step. A wall vanishes while bridges are stretched, so that the forces are computed again.
-    """
-    balls = particle_group([[0, 0, 0.0056], [0, 0, 0.0162]], velocity=[[0, 0, -0.3], [0.1, 0, -0.8]])
-    rod = clump_group([[0.03, 0.0, 0.0024]], velocity=[0.2, 0.0, -0.5])
-    force = {"viscosity": 0.1, "min_separation_ratio": 0.01}
-    scene = build_scene(
-        {"balls": balls | {"temperature": COLD}, "rod": rod | {"temperature": COLD}},
-        {"hot": plane([0, 0, 0], [0, 0, 1], temperature=COLD), "lid": plane([0, 0, 0.03], [0, 0, -1], stages=["a"])},
-        materials={"glass": SOFT | {"thermal_conductivity": 1.0, "heat_capacity": 500.0}},
-        contact={
-            "normal": "hertz", "tangential": "mindlin", "rolling": "none",
-            "cohesion": {"law": "capillary", "viscous_force": force},
-            "heat": {"law": "conduction", "from_dissipation": True},
-        },
-        pair={"friction": 0.4, "restitution": 0.6, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-9},
-        stages=[{"name": "a", "duration": 0.0012}, {"name": "b", "duration": 0.01}],
-        output={"interval": 1.0, "energy_budget": True}, run={"velocity_max": 2.0, "time_step": 2e-6},
-    )  # fmt: skip
-    with Simulation(scene, threads=2) as simulation:
-        start = simulation.snapshot().totals
-        for steps in (550, 201, 300):
-            simulation.step(steps)
-            totals = simulation.snapshot().totals
-            lost = sum(totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping"))
-            lost += ended_contacts_dissipation(simulation.engine.state)
-            heat = totals["heat_content"] - start["heat_content"] - totals["wall_heat.hot"]
-            assert totals["damping_dissipation"] > 3e-5 and totals["wall_heat.hot"] < -1e-5
-            assert heat == pytest.approx(lost, rel=1e-8)
-
-
 def rough_plate_scene(**of_rough):
-    """Warm spheres and a rod fall with bridges onto particles that are parts of a hot plate in motion."""
+    """Warm spheres and a rod fall with bridges onto particles that are parts of a hot plate in motion.
+
+    A wall vanishes while bridges are stretched, so that the forces are computed again.
+    """
     rough = particle_group(0.005 * np.argwhere(np.ones((4, 4, 1))), 0.004, temperature=HOT)
     sites = [[0.0025, 0.0025, 0.0041], [0.0076, 0.0074, 0.0044], [0.0124, 0.0026, 0.0041]]
     balls = particle_group(sites, 0.006, velocity=[0.2, 0.0, -0.8], temperature=COLD)
@@ -475,51 +429,51 @@ def rough_plate_scene(**of_rough):
     }  # fmt: skip
     viscous = {"law": "capillary", "viscous_force": {"viscosity": 0.05, "min_separation_ratio": 0.02}}
     return build_scene(
-        {"rough": rough | {"fixed": {"to": "plate"}} | of_rough, "balls": balls, "rod": rod}, {"plate": plate},
+        {"rough": rough | {"fixed": {"to": "plate"}} | of_rough, "balls": balls, "rod": rod},
+        {"plate": plate, "lid": plane([0, 0, 0.03], [0, 0, -1], stages=["a"])},
+        stages=[{"name": "a", "duration": 8e-4}, {"name": "b", "duration": 1.0}],
         materials={"glass": SOFT | {"thermal_conductivity": 5.0, "heat_capacity": 0.5}},
         contact={
             "normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": viscous,
             "heat": {"law": "conduction", "from_dissipation": True},
         },
         pair={"friction": 0.4, "restitution": 0.5, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
-        output={"interval": 1.0, "energy_budget": True}, run={"duration": 1.0, "velocity_max": 2.0, "time_step": 2e-6},
+        output={"interval": 1.0, "energy_budget": True}, run={"velocity_max": 2.0, "time_step": 2e-6},
     )  # fmt: skip
 
 
-@pytest.mark.slow
 def test_particles_of_a_hot_wall_keep_its_temperature_and_their_heat_is_that_of_the_wall(taichi_f64):
+    """The losses of a viscous force, too: of the present power, half belongs to the next step."""
     with Simulation(rough_plate_scene(heat_source=0.05), threads=2) as simulation:
         start = simulation.snapshot().totals
-        simulation.step(700)
-        found = simulation.snapshot()
+        for steps in (380, 21, 300):
+            simulation.step(steps)
+            found = simulation.snapshot()
+            temperature, totals = found.particles["temperature"], found.totals
+            lost = sum(totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping"))
+            lost += ended_contacts_dissipation(simulation.engine.state)
+            gained = totals["heat_content"] - start["heat_content"]
+            assert gained == pytest.approx(lost + totals["wall_heat.plate"] + totals["source_heat"], rel=1e-8)
         with pytest.raises(
-            GranflowError, match=r"particle 3 is attached to a wall and has its temperature, 400"
+            GranflowError, match="particle 3 is attached to a wall and has its temperature, 400"
         ):
             simulation.particles.temperature[3] = 350.0
-        ended = ended_contacts_dissipation(simulation.engine.state)
-    temperature, totals = found.particles["temperature"], found.totals
     is_rough = found.particles["group"] == 0
     assert set(temperature[is_rough]) == {HOT} and temperature[~is_rough].min() > COLD + 0.1
     assert len(set(temperature[-4:])) == 1, "the spheres of the rod"
-    lost = sum(totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping")) + ended
-    gained = totals["heat_content"] - start["heat_content"]
-    assert lost > 1e-5
-    assert gained == pytest.approx(lost + totals["wall_heat.plate"] + totals["source_heat"], rel=1e-8)
+    assert totals["damping_dissipation"] > 1e-5
     flow = -found.particles["heat_flow"][is_rough].sum()
     assert flow != 0.0 and totals["wall_heat_flow.plate"] == pytest.approx(flow, rel=1e-9)
 
 
 def test_particles_of_a_wall_have_its_temperature_and_no_part_in_its_heat_flux_and_wear():
-    with pytest.raises(
-        SceneError, match=r"rough.temperature is 300.* parts of plate, which has 400 K; give the"
-    ):
+    with pytest.raises(SceneError, match=r"rough.temperature is 300.* parts of plate, which has 400 K"):
         Scene.from_dict(rough_plate_scene(temperature=COLD).to_dict())
     scene = rough_plate_scene().to_dict()
     scene["walls"]["plate"]["wear"] = {"law": "relative"}
-    warnings = " ".join(plan_for(Scene.from_dict(scene)).warnings)
-    assert "walls.plate.wear" in warnings and "wear these particles, and do not count as wear" in warnings
+    assert "walls.plate.wear" in " ".join(plan_for(Scene.from_dict(scene)).warnings)
     scene["walls"]["plate"] |= {"heat_flux": 10.0, "temperature": None}
-    with pytest.raises(SceneError, match=r"fixed.to is plate, but the wall has a heat_flux, which particles"):
+    with pytest.raises(SceneError, match="fixed.to is plate, but the wall has a heat_flux"):
         Scene.from_dict(scene)
 
 
@@ -578,15 +532,12 @@ CAPACITY_OF_FLOW = 0.05
 
 def test_a_setting_without_particles_is_a_warning(caplog):
     scene = stages_scene().to_dict()
-    scene["stages"][0]["set"] = {
-        "temperature": "20 K",
-        "region": {"half_space": {"point": [1, 0, 0], "normal": [1, 0, 0]}},
-    }
+    half = {"half_space": {"point": [1, 0, 0], "normal": [1, 0, 0]}}
+    scene["stages"][0]["set"] = {"temperature": "20 K", "region": half}
     with Simulation(Scene.from_dict(scene), threads=2) as simulation:
         simulation.step(1)
     assert (
-        "stage first (stages.0.set): none of the 14 particles is in the groups and the region of the setting"
-        in caplog.text
+        "stage first (stages.0.set): none of the 14 particles is in the groups and the region" in caplog.text
     )
 
 
@@ -604,31 +555,20 @@ def test_the_area_of_soft_contacts_is_that_of_the_true_modulus():
     assert overlap_ratio == pytest.approx((0.5e7 / (1.0 - 0.09) / true) ** (2.0 / 3.0))
 
 
-def test_a_source_requires_heat():
-    scene = bed().to_dict()
-    scene["particles"]["lattice"]["heat_source"] = 1.0
-    scene["stages"] = [{"name": "heat", "duration": 1.0, "set": {"temperature": 300.0}}]
-    del scene["run"]["duration"]
-    with pytest.raises(SceneError) as error:
-        Scene.from_dict(scene)
-    for path in ("particles.lattice.heat_source", "stages.0.set.temperature"):
-        assert f"{path} has no effect: no contact model of this scene has the flow heat_flow" in str(
-            error.value
-        )
-
-
-def test_the_field_of_the_temperature_requires_heat_and_so_does_a_program():
-    scene = bed().to_dict()
-    scene["output"]["fields"] = {"bed": {"cell": 0.01, "quantities": ["temperature"]}}
-    with pytest.raises(SceneError, match=r"particles have no temperature: contact.heat is none; write cond"):
-        Scene.from_dict(scene)
+def test_temperatures_require_heat():
+    """In fields, and in the particles of a program."""
+    scene = lines_scene().to_dict()
+    del scene["contact"]["heat"], scene["walls"]["plate_3_right"]["heat_flux"]
+    for part in (*scene["walls"].values(), *scene["particles"].values()):
+        part.pop("temperature", None)
     with (
-        Simulation(bed(), threads=2) as simulation,
-        pytest.raises(
-            GranflowError, match=r"particles.temperature: the particles have none, because contact"
-        ),
+        Simulation(Scene.from_dict(scene), threads=2) as simulation,
+        pytest.raises(GranflowError, match="particles.temperature: the particles have none"),
     ):
         simulation.particles.temperature[0] = 1.0
+    scene["output"]["fields"] = {"bed": {"cell": 0.01, "quantities": ["temperature"]}}
+    with pytest.raises(SceneError, match="particles have no temperature: contact.heat is none"):
+        Scene.from_dict(scene)
 
 
 def problems(change):
@@ -655,47 +595,23 @@ def set_key(*path, value=None):
 
 
 CASES = [
-    (set_key("materials", "sphere", "thermal_conductivity"), "materials.sphere.thermal_conductivity is "
-     "missing: thermal conductivity of the solid [W/m/K], of particles.line_0_0 with contact.heat: conduction"),
-    (set_key("materials", "plate", "thermal_conductivity"), "materials.plate.thermal_conductivity is "
-     "missing: thermal conductivity of the solid [W/m/K], of walls.plate_0_left with contact.heat: conduction"),
-    (set_key("materials", "other", "heat_capacity"), "materials.other.heat_capacity is missing: specific heat "
-     "capacity of the solid [J/kg/K], for the equation of the temperature"),
-    (set_key("materials", "other", "heat_capacity", value=-1), "materials.other.heat_capacity is -1, but a "
-     "specific heat capacity must be above 0"),
-    (set_key("particles", "line_0_0", "temperature"), "particles.line_0_0.temperature is missing: give the "
-     "initial value, temperature of the particle [K]"),
-    (set_key("particles", "line_0_0", "temperature", value=-20), "particles.line_0_0.temperature is -20, but a "
-     "temperature must be above 0"),
-    (set_key("walls", "plate_1_left", "temperature", value=0), "walls.plate_1_left.temperature is 0, but a "
-     "temperature must be above 0"),
-    (set_key("walls", "plate_0_left", "heat_flux", value=1.0), "walls.plate_0_left.heat_flux is 1.0, but "
-     "temperature is given too: keep one of them"),
-    (set_key("contact", "heat"), "walls.plate_3_right.heat_flux has no effect: no contact model reads it; "
-     "remove it, or select contact.heat: conduction"),
-    (set_key("contact", "heat", value="convection"), "contact.heat is convection, but"),
+    (set_key("materials", "plate", "thermal_conductivity"), "materials.plate.thermal_conductivity is missing"),
+    (set_key("materials", "other", "heat_capacity"), "materials.other.heat_capacity is missing"),
+    (set_key("particles", "line_0_0", "temperature"), "particles.line_0_0.temperature is missing"),
+    (set_key("walls", "plate_1_left", "temperature", value=0), "but a temperature must be above 0"),
+    (set_key("walls", "plate_0_left", "heat_flux", value=1.0), "temperature is given too: keep one of them"),
+    (set_key("contact", "heat"), "walls.plate_3_right.heat_flux has no effect"),
     (set_key("materials", "sphere", "heat_capacity", value=1e-6), "is longer than"),
-    (set_key("expect", value=[{"quantity": "wall_heat.plate_1_left", "above": 0}]), "there is no such wall that gives "
-     "heat to particles"),
-    (set_key("contact", "heat", value={"law": "conduction", "surroundings": 300}), "materials.other.emissivity is "
-     "missing: emissivity of the surface, in [0, 1], with contact.heat.surroundings"),
+    (set_key("expect", value=[{"quantity": "wall_heat.plate_1_left", "above": 0}]), "there is no such wall that gives"),
+    (set_key("contact", "heat", value={"law": "conduction", "surroundings": 300}), "other.emissivity is missing"),
     (set_key("contact", "heat", value={"law": "conduction", "gas": {"conductivity": 0.95, "min_gap": 1e-6}}),
-     "contact.heat.gas.conductivity is 0.95, but it must be at most 0.9 of "
-     "materials.sphere.thermal_conductivity, 1 W/m/K"),
-    (set_key("materials", "sphere", "emissivity", value=1.5), "materials.sphere.emissivity is 1.5, but an "
-     "emissivity must"),
-    (set_key("contact", "heat", value={"law": "conduction", "from_dissipation": True}),
-     "contact.heat.from_dissipation is true, but it needs the losses of the energy budget; set "
-     "output.energy_budget to true"),
-    (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": {"groups": ["line_0_0"]}}]), "stages.0.set "
-     "sets no property; give temperature or heat_source"),
+     "but it must be at most 0.9 of materials.sphere.thermal_conductivity, 1 W/m/K"),
+    (set_key("contact", "heat", value={"law": "conduction", "from_dissipation": True}), "the losses of the energy budget"),
+    (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": {"groups": ["line_0_0"]}}]), "sets no property"),
     (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": {"temperature": 400, "groups": ["line"]}}]),
-     "stages.0.set.groups.0 is line, but there is no such group of particles"),
-    (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": [{"temperature": -400}]}]),
-     "stages.0.set.0.temperature is -400, but a temperature must be above 0"),
+     "there is no such group of particles"),
     (set_key("stages", value=[{"name": "a", "duration": 1.0, "set": {"temperature": 400, "region": {"bx": 1}}}]),
-     "but it must be {box: {min: [..], max: [..]}}, {half_space: {point: [..], normal"),
-    (set_key("particles", "line_0_0", "heat_source", value="2 K"), "particles.line_0_0.heat_source is 2 K, but"),
+     "but it must be {box: {min: [..], max: [..]}}"),
     (set_key("run", "precision", value="f32"), "run.precision is f32, but the change of temperature"),
 ]  # fmt: skip
 
@@ -704,15 +620,3 @@ CASES = [
 def test_invalid_heat_has_its_message(change, sentence):
     found = problems(change)
     assert any(sentence in each for each in found), found
-
-
-def test_explain_shows_the_limit_of_the_temperature():
-    """The largest contact has the largest intended overlap: m c / (12 h) of the sphere with the least capacity."""
-    scene = lines_scene()
-    radius = np.sqrt(RADIUS * RADIUS * scene.numerics.intended_overlap)
-    limits = [
-        capacity / (2.0 * 2.0 * k * other / (k + other) * radius)
-        for k, capacity in ((CONDUCTIVITY, CAPACITY), (OTHER_CONDUCTIVITY, OTHER_CAPACITY))
-        for other in (CONDUCTIVITY, OTHER_CONDUCTIVITY, PLATE_CONDUCTIVITY)
-    ]
-    assert f"limit of temperature  {min(limits) / 12.0:.4g} s" in explain(plan_for(scene))
