@@ -1,6 +1,6 @@
-"""`granflow cache`, and runs with a cache folder that cannot be written, is shared, or contains a stale
-lock."""
+"""Cache folders of kernels that are shared, damaged, locked or cannot be written; `granflow cache`."""
 
+import json
 import os
 import subprocess
 import sys
@@ -10,76 +10,49 @@ from pathlib import Path
 import pytest
 
 from granflow.cli.main import main
-from granflow.engine.kernel_cache import CACHED_KERNELS as KERNELS
-from granflow.engine.kernel_cache import LOCKS
-from granflow.kernel_language import KERNELS as LANGUAGE
+from granflow.engine.kernel_cache import CACHED_KERNELS, LOCKS, usable_folder
+from granflow.kernel_language import KERNELS
 
 PAIR = "--law hertz --restitution 0.8 --material stainless_316 --diameter 25.4mm --velocity 0.5"
-COLLISION = ("collide", *PAIR.split(), "--json")
 
 
-def start(cache, *arguments):
-    command = [sys.executable, "-m", "granflow", *arguments]
+def collide(cache, *options):
+    """The process of a collision with a cache folder."""
+    command = [sys.executable, "-m", "granflow", "collide", *PAIR.split(), *options]
     environment = os.environ | {"GRANFLOW_CACHE": str(cache)}
     return subprocess.Popen(
         command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
 
 
-def granflow(cache, *arguments):
-    process = start(cache, *arguments)
-    output, errors = process.communicate(timeout=200)
-    assert process.returncode == 0, errors
-    return output, errors
-
-
-def kernels(folder):
-    return {path.name for path in folder.glob(KERNELS)}
-
-
-@pytest.fixture(scope="module")
-def filled_cache(tmp_path_factory):
-    """A cache folder filled by two simultaneous processes, and their outputs."""
-    folder = tmp_path_factory.mktemp("cache") / "made" / "by granflow"
-    processes = [start(folder, *COLLISION) for _ in range(2)]
-    output = [process.communicate(timeout=200) for process in processes]
-    assert [process.returncode for process in processes] == [0, 0], output
-    return folder, output
-
-
-def test_two_processes_share_a_cache(filled_cache):
-    folder, output = filled_cache
-    assert output[0] == output[1]
-    assert output[0][1] == ""
-    assert kernels(folder)
-
-
-def test_second_run_compiles_nothing_and_removes_a_stale_lock(filled_cache):
-    folder, output = filled_cache
-    before = kernels(folder)
-    lock = folder / LOCKS[LANGUAGE]
-    lock.touch()
-    os.utime(lock, (time.time() - 3600.0,) * 2)
-    assert granflow(folder, *COLLISION) == output[0]
-    assert kernels(folder) == before
-    assert not lock.exists()
-
-
-def test_damaged_kernels_are_recompiled(filled_cache, tmp_path):
-    folder, output = filled_cache
+def test_cache_is_shared_by_processes_and_repaired(tmp_path):
+    """Two processes fill the cache at once; then all of its files are cut off."""
+    folder = tmp_path / "made" / "by granflow"
+    processes = [collide(folder, "--json") for _ in range(2)]
+    first, second = (process.communicate(timeout=200) for process in processes)
+    assert first == second and first[1] == ""
+    restitution = json.loads(first[0])["restitution"]
+    assert restitution == pytest.approx(0.8, rel=2e-3)
+    assert list(folder.glob(CACHED_KERNELS))
     for path in filter(Path.is_file, folder.rglob("*")):
-        damaged = tmp_path / path.relative_to(folder)
-        damaged.parent.mkdir(exist_ok=True)
-        damaged.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert granflow(tmp_path, *COLLISION)[0] == output[0][0]
+        os.truncate(path, path.stat().st_size // 2)
+    table, _ = collide(folder).communicate(timeout=200)
+    assert ["restitution", f"{restitution:.7g}", "0.8"] in [line.split() for line in table.splitlines()]
 
 
-def test_unwritable_cache_is_reported_once(filled_cache, tmp_path):
+def test_stale_lock_is_removed_and_an_unwritable_folder_replaced(tmp_path, monkeypatch, caplog):
+    """The lock of a process killed an hour ago would disable the cache; a lock in use stays."""
+    monkeypatch.setenv("GRANFLOW_CACHE", str(tmp_path))
+    lock = tmp_path / LOCKS[KERNELS]
+    lock.touch()
+    assert usable_folder() == tmp_path and lock.exists()
+    os.utime(lock, (time.time() - 3600.0,) * 2)
+    assert usable_folder() == tmp_path and not lock.exists() and not caplog.text
     (tmp_path / "file").touch()
-    output, errors = granflow(tmp_path / "file" / "cache", *COLLISION)
-    assert output == filled_cache[1][0][0]
-    assert "cannot be written" in errors and "GRANFLOW_CACHE" in errors
-    assert len(errors.splitlines()) == 1
+    monkeypatch.setenv("GRANFLOW_CACHE", str(tmp_path / "file" / "cache"))
+    folder = usable_folder()
+    assert folder.is_dir() and "file/cache cannot be written" in caplog.text
+    folder.rmdir()
 
 
 def test_cache_is_listed_and_cleared_without_other_files(tmp_path, monkeypatch, capsys):
@@ -88,11 +61,10 @@ def test_cache_is_listed_and_cleared_without_other_files(tmp_path, monkeypatch, 
         return capsys.readouterr().out
 
     monkeypatch.setenv("GRANFLOW_CACHE", str(tmp_path))
-    (tmp_path / "one.tic").write_bytes(b"x" * 600_000)
-    (tmp_path / "ticache.tcb").write_bytes(b"x" * 600_000)
-    (tmp_path / "notes.txt").write_text("other")
     (tmp_path / "kernel_compilation_manager").mkdir()
-    (tmp_path / "kernel_compilation_manager" / "one.qdc").write_bytes(b"x" * 600_000)
+    for name in ("one.tic", "ticache.tcb", "kernel_compilation_manager/one.qdc"):
+        (tmp_path / name).write_bytes(b"x" * 600_000)
+    (tmp_path / "notes.txt").write_text("other")
     assert f"{tmp_path}: 2 compiled kernels, 1.8 MB cached" in cache()
     assert "1.8 MB deleted" in cache("--clear")
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["notes.txt"]
