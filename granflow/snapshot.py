@@ -58,6 +58,13 @@ class WallPose:
         return (points - self.pivot) @ self.rotation.T + self.pivot + self.offset
 
 
+def body_ids(particles: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Id (n,) of the body of each sphere: of the first sphere of its clump, or its own."""
+    own = particles["id"]
+    clump = particles.get("clump", np.full(len(own), -1))
+    return np.where(clump >= 0, clump, own)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Snapshot:
     """State of a simulation at one time. `granflow.fields` defines keys, shapes and units.

@@ -10,6 +10,7 @@ from granflow.engine.state import State
 from granflow.engine.totals import Accounting
 from granflow.scene.blocks.deletions import Part
 from granflow.scene.blocks.particle_regions import ParticleRegion
+from granflow.snapshot import body_ids
 
 FIELDS = ("id", "radius", "position", "clump", "clump_position")
 """Fields from which the choice follows."""
@@ -26,8 +27,7 @@ class PresentParticles:
     def __init__(self, state: State, accounting: Accounting, further: Sequence[str] = ()) -> None:
         self.arrays = copy_to_host(state, (*FIELDS, *further))
         self.group = accounting.by_id("group", self.arrays["id"])
-        clump = self.arrays.get("clump", np.full(len(self.group), -1))
-        self.body = np.where(clump >= 0, clump, self.arrays["id"])
+        self.body = body_ids(self.arrays)
         self._center = state.periodic_box.wrap(body_positions(self.arrays).astype(float))
         self._position = state.periodic_box.wrap(self.arrays["position"].astype(float))
         self._group_names = [group.name for group in state.plan.groups]

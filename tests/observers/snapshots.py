@@ -21,8 +21,9 @@ def arrays_of(quantities, count, seed=0):
 
 
 def particles_of(count, seed=0, **replaced):
-    """Random particle arrays; `replaced` gives arrays by name."""
-    return {**arrays_of(PARTICLE_QUANTITIES, count, seed), "id": np.arange(count), **replaced}
+    """Random particle arrays of single spheres; `replaced` gives arrays by name."""
+    single = {"id": np.arange(count), "clump": np.full(count, -1)}
+    return {**arrays_of(PARTICLE_QUANTITIES, count, seed), **single, **replaced}
 
 
 def snapshot_of(time=0.0, step=0, stage="run", particles=None, contacts=None, walls=None, totals=None):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from observers.snapshots import snapshot_of
+from observers.snapshots import particles_of, snapshot_of
 
 from granflow.observers.meters import (
     FlowCount,
@@ -252,3 +252,24 @@ def test_counting_error_is_the_scatter_of_independent_passages():
     flows = np.array([each["mass_flow_mean"] for each in results])
     errors = np.array([each["mass_flow_error_mean"] for each in results])
     assert np.sqrt((errors**2).mean()) == pytest.approx(flows.std(), rel=0.12)  # 3 / sqrt(2 * 400)
+
+
+def test_a_clump_passes_once_with_its_center_of_mass():
+    """A rod of two spheres of 1 kg, whose center is in the middle, and a single sphere; all fall by 2 m."""
+    meter = down()
+    for fallen in (0.0, 2.0):
+        height = np.array([1.3, 1.9, 2.2]) - fallen
+        arrays = {
+            "clump": np.array([0, 0, -1]),
+            "position": np.stack([np.zeros(3), np.zeros(3), height], axis=1),
+            "clump_position": np.stack(
+                [np.zeros(3), np.zeros(3), [1.6 - fallen] * 2 + [2.2 - fallen]], axis=1
+            ),
+            "mass": np.array([1.0, 1.0, 5.0]),
+            "clump_mass": np.array([2.0, 2.0, 5.0]),
+            "radius": np.array([0.1, 0.2, 0.3]),
+        }
+        meter.update(snapshot_of(fallen, particles=particles_of(3, **arrays)))
+    assert (meter.total.count, meter.total.mass) == (2, 7.0)
+    assert meter.passages.id.tolist() == [0, 2] and meter.passages.radius.tolist() == [0.2, 0.3]
+    assert meter.passages.time == pytest.approx([0.6, 1.2])

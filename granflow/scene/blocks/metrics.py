@@ -46,7 +46,16 @@ from granflow.schema.model import (
     optional,
 )
 from granflow.schema.quantities import Vector3
-from granflow.snapshot import CONTACTS, PARTICLES, PARTS, WALLS, Snapshot, mobile_particles, selected
+from granflow.snapshot import (
+    CONTACTS,
+    PARTICLES,
+    PARTS,
+    WALLS,
+    Snapshot,
+    body_ids,
+    mobile_particles,
+    selected,
+)
 
 # What a metric is
 
@@ -177,9 +186,7 @@ def _in_groups(
 
 def _bodies(particles: Mapping[str, np.ndarray]) -> np.ndarray:
     """Number (n,), from 0, of the clump of each sphere, or of a sphere without one."""
-    own = particles["id"]
-    clump = particles.get("clump", np.full(len(own), -1))
-    body: np.ndarray = np.unique(np.where(clump >= 0, clump, own), return_inverse=True)[1]
+    body: np.ndarray = np.unique(body_ids(particles), return_inverse=True)[1]
     return body
 
 
