@@ -46,8 +46,7 @@ SHAPES |= {kind.__name__: example_of_wall(kind) for kind in WALLS if kind not in
 
 
 def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
-    """Distances (n,), normals (n, 3) and distances without shared edges (n,) from the device, in the given
-    types."""
+    """Distances (n,), normals (n, 3) and distances without shared edges (n,) from the device."""
     number = NUMPY_TYPES[dtype]
     parameter_number = NUMPY_TYPES[parameter_dtype]
     distance, bare = np.zeros((2, len(points)), dtype=number)
