@@ -1,131 +1,218 @@
-"""Forecasts of probable mistakes: wrong units, output intervals that hide a vibration, inlets and regions of
-rain."""
+"""Forecasts of probable mistakes: wrong units, intervals, conditions, inlets, and particles inside of walls."""
+
+import re
 
 import numpy as np
 import pytest
-from plan.scenes import TEXT, scene_of
+from geometry.meshes import cube, write
+from plan.scenes import scene_of
+from scene_builders import build_scene, particle_group, plane
 
 from granflow.errors import SceneError
 from granflow.particles.group import groups_of
-from granflow.particles.insertion import Inserter
+from granflow.particles.insertion import Inserter, initial_particles
 from granflow.plan.build import plan_for
+from granflow.plan.overlaps import particle_warnings, refuse_initial_overlaps
+from granflow.runs.initial_particles import initial_state
 
 
 def warnings_of(scene):
     return [each.warning for each in plan_for(scene).forecasts if each.warning]
 
 
-@pytest.mark.parametrize(
-    ("shape", "key", "length"),
-    [
-        ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius: 22", "radius", 22.0),
-        ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 22], radius: 22 mm", "to", 22.0),
-        ("cone, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius_from: 2 mm, radius_to: 9",
-         "radius_to", 9.0),
-        ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25", "radius", 25.0),
-        ("rectangle, corner: [0, 0, 0], sides: [[20, 0, 0], [0, 2 cm, 0]]", "sides", 20.0),
-        ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25 cm", None, 0.25)
-    ],
-    ids=["radius", "axis", "cone", "disc", "rectangle", "large floor"]
-)  # fmt: skip
-def test_wall_that_is_much_larger_than_the_domain_is_reported(tmp_path, shape, key, length):
-    """The longest side of the domain is 40 mm; a floor of 25 cm is no mistake."""
-    text = TEXT.replace("particles:\n", f"  part: {{shape: {shape}, material: glass}}\nparticles:\n")
-    found = [
-        each
-        for each in warnings_of(scene_of(tmp_path, text=text))
-        if "walls.part" in each and "Check" in each
+def wall(shape, motion=""):
+    return [f"walls.part={{shape: {shape}, material: glass{motion and f', motion: {motion}'}}}"]
+
+
+def belt(more=""):
+    return wall(
+        "rectangle, corner: [0, 0, 12 mm], sides: [[2 cm, 0, 0], [0, 2 cm, 0]]",
+        f"{{kind: translation, velocity: [1 m/s, 0, 0]{more}}}",
+    )
+
+
+def turned(*motions):
+    """A plate of 1 cm around x = 0 in a domain from -10 to 30 mm."""
+    sides = "corner: [-5 mm, 5 mm, 12 mm], sides: [[1 cm, 0, 0], [0, 1 cm, 0]]"
+    return [*wall(f"rectangle, {sides}", f"[{', '.join(motions)}]"), "run.duration=0.1"]
+
+
+HALF_TURN = "{kind: rotation, axis: [0, 0, 1], point: [0, 10 mm, 0], angular_velocity: 1800 deg/s}"
+SHIFT = "{kind: translation, velocity: [24 cm/s, 0, 0], end: 0.1 s}"
+
+
+def turning(*rates):
+    turns = [
+        f"{{kind: rotation, point: [0, 0, 0], axis: [0, 0, 1], angular_velocity: {rate}}}" for rate in rates
     ]
-    line = next(number for number, each in enumerate(text.splitlines(), 1) if "  part:" in each)
-    if key is None:
-        assert found == []
-    else:
-        (warning,) = found
-        beginning = f"beads.yaml:{line}) is {length:.3g} m, {length / 0.04:.0f} times the longest side"
-        assert (
-            warning.startswith(f"walls.part.{key} (")
-            and beginning in warning
-            and f"{length:g} mm is {length / 1000:g} m" in warning
-        )
+    return [f"walls.floor.motion=[{', '.join(turns)}]"]
+
+
+def shaken(key, interval):
+    """Output of a floor that vibrates with a period of 40 ms."""
+    motion = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequency: 25 Hz}"
+    intervals = {"interval": "5 ms"} | {key: interval}
+    output = [f"output.{name}={value}" for name, value in intervals.items()]
+    return [f"walls.floor.motion={motion}", "run.duration=1 s", *output]
+
+
+def dropped(velocity, *more):
+    """A lattice whose upper end is 30 mm above the floor: sqrt(2 g h) = 0.77 m/s."""
+    region = "{box: {min: [0, 0, 10 mm], max: [2 cm, 2 cm, 30 mm]}}"
+    return [f"particles.beads.insert.region={region}", f"run.velocity_max={velocity}", *more]
+
+
+def rained(height):
+    """Centers are between z = 2 and 8 mm; a floor at a height h [mm] takes those below h + 1.8 mm."""
+    rain = "{kind: rain, rate: 100, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}"
+    return [f"particles.beads.insert={rain}", f"walls.floor.point=[0, 0, {height} mm]"]
+
+
+BOX = "region: {box: {min: [0, 0, 1 cm], max: [%s mm, %s mm, 2 cm]}}"
+
+
+def jet(insertion, count=300, velocity="[0, 0, -0.3]"):
+    group = f"material: glass, count: {count}, diameter: 4 mm, velocity: {velocity}"
+    return f"particles.jet={{{group}, insert: {{{insertion}}}}}"
+
+
+def queued(count):
+    """4 cm3 without gravity hold at most 0.45 * 4 cm3 / 33.5 mm3 = 54 particles."""
+    rain = f"kind: rain, rate: 60 1/s, {BOX % (20, 20)}"
+    return [jet(rain, count, "[0, 0, 0]"), "gravity=[0, 0, 0]", "run.duration=0.3"]
+
+
+def staged(until, duration="10 s", *more):
+    """Ten particles at the start, and 100 per second from 0.1 s on, at most 300."""
+    stage = f"{{name: fill, until: {{{until}}}, max_duration: {duration}}}"
+    rain = f"kind: rain, rate: 100 1/s, start: 0.1 s, {BOX % (20, 20)}"
+    return ["run.duration=null", f"stages=[{stage}]", jet(rain), *more]
+
+
+def entered(face, velocity, gravity=-9.81):
+    return [
+        jet(f"kind: inlet, rate: 100 1/s, face: {face}", 20, velocity),
+        f"gravity=[0, 0, {gravity}]",
+        "run.duration=1",
+    ]
+
+
+DOWN = "{disc: {center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -2], radius: 15 mm}}"
+UP = "{disc: {center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 15 mm}}"
+ACROSS = "{disc: {center: [0, 1 cm, 1 cm], normal: [1, 0, 0], radius: 8 mm}}"
+RECTANGLE = "{rectangle: {corner: [-5 mm, -5 mm, 2.5 cm], sides: [[0, 3 cm, 0], [3 cm, 0, 0]]}}"
+
+
+def rod(last):
+    """A clump of three spheres."""
+    spheres = f"{{position: [0, 0, 0], radius: 2 mm}}, {{position: [2 mm, 0, 0], radius: 2 mm}}, {last}"
+    insertion = "{kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}"
+    return [
+        f"particles.beads={{material: glass, count: 1, clump: {{spheres: [{spheres}]}}, insert: {insertion}}}"
+    ]
+
+
+MASS = 2500.0 * np.pi / 6.0 * 0.004**3
+"""Mass [kg] of a particle of 4 mm."""
+LATE_RAIN = f"kind: rain, rate: 1000 1/s, start: 0.1 s, {BOX % (20, 20)}"
+REPOSE = "output.metrics={heap: {kind: repose, surface: cone}}"
+
+
+@pytest.mark.parametrize(("sentence", "wrong", "right"), [
+    ("materials.glass.density .* is 2.5 kg/m3, less than light foams", ["materials.glass.density=2.5"], []),
+    ("young_modulus .* is 5e[+]04 GPa, more than that of diamond", ["materials.glass.young_modulus=50e6 N/mm2"],
+     ["materials.steel.young_modulus=50e6 N/mm2"]),
+    ("work_of_adhesion .* is not used, because contact.cohesion is none", 
+     ["pairs.glass-glass.work_of_adhesion=0.1"], []),
+    ("pairs.glass-glass.friction .* is 30: it is a coefficient", ["pairs.glass-glass.friction=30"], []),
+    ("diameter .* is 4 m, 100 times the longest side of the domain",
+     ["particles.ball={material: glass, diameter: 4, insert: {kind: positions, positions: [[0, 0, 0]]}}"], []),
+    ("angle_of_repose.heap is in rad, and the bound is 30",
+     [REPOSE, "expect=[{quantity: angle_of_repose.heap, between: [20, 30]}]"],
+     [REPOSE, "expect=[{quantity: angle_of_repose.heap, between: [20 deg, 30 deg]}]"]),
+    ("output.interval .* at most 0.05 s", ["output.interval=51 ms"], ["output.interval=50 ms"]),
+    ("walls.part.to .* is 22 m, 550 times the longest side",
+     wall("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 22], radius: 22 mm"), []),
+    ("walls.part.radius_to .* 9 mm is 0.009 m",
+     wall("cone, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius_from: 2 mm, radius_to: 9"), []),
+    ("walls.part.sides .* is 20 m, 500 times",
+     wall("rectangle, corner: [0, 0, 0], sides: [[20, 0, 0], [0, 2 cm, 0]]"), []),
+    ("walls.part.radius .* is", wall("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25"),
+     wall("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25 cm")),
+    # The farthest point is 30 mm from an axis: 12 m/s. The speeds of a chain do not add up.
+    ("Angular velocities are in rad/s", turning(400), turning(250, -250)),
+    # At odd multiples of 20 ms, sin(w t) is 0 in all frames, within 1 % of the period.
+    (r"output.interval \(.* 0.5 times the period 0.04 s .* 0.005 s or less", shaken("interval", "20 ms"),
+     shaken("interval", "40 ms")),
+    (r"output.timeseries_interval \(.* 1.5 times the period 0.04 s", shaken("timeseries_interval", "60.2 ms"),
+     shaken("timeseries_interval", "20.5 ms")),
+    # In space the plate ends at x = 19 to 29 mm; in its own frame at -(5 + 24) = -29 mm, 19 mm outside.
+    ("by up to 0.019 m at 0.0999 s. Motion 1 turns with the rotation before it", turned(HALF_TURN, SHIFT),
+     turned(SHIFT, HALF_TURN)),
+    ("motion 1, carry it by up to 0.0899 m", turned(SHIFT.replace("24", "90"), HALF_TURN), turned(SHIFT, HALF_TURN)),
+    ("run.velocity_max .* particles.beads can fall 0.03 m and reach 0.767 m/s", dropped("0.05 m/s"),
+     dropped("0.09 m/s")),
+    ("run.velocity_max .* can fall", dropped("2 mm/s"), dropped("2 mm/s", "damping={drag: 20 1/s}")),
+    (r"is at least 2[12][.\d]* m outside", wall("rectangle, corner: [0, 0, 22], sides: [[1 cm, 0, 0], [0, 1 cm, 0]]"),
+     wall("rectangle, corner: [0, 0, 22 mm], sides: [[1 cm, 0, 0], [0, 1 cm, 0]]")),
+    # The belt leaves the domain, up to x = 3 cm, after 30 ms.
+    (r"walls.part.* after 0.0(3|4[01])", belt(), belt(", end: 50 ms")),
+    ("walls.part.* after", belt(), [*belt(), "run.duration=10 ms"]),
+    (r"9[67]\.?\d* % of the positions", rained(6), []),
+    ("% of the positions", rained(6), rained(4)),
+    ("60 particles are required, but the region holds at most about 54", queued(60), queued(20)),
+    ("at most 310, the number of all particles until then.*the stage lasts its max_duration, 10 s",
+     staged("quantity: particle_count, above: 310"), staged("quantity: particle_count, above: 309")),
+    ("at most 300, the count of particles.jet", staged("quantity: inserted_count.jet, above: 300"),
+     staged("quantity: inserted_count.jet, above: 299")),
+    (f"at most {310 * MASS:.6g} kg", staged(f"quantity: deleted_mass, above: {310.5 * MASS}"),
+     staged(f"quantity: deleted_mass, above: {309.5 * MASS}")),
+    ("kinetic_energy is never below 0", staged("quantity: kinetic_energy, below: 0"),
+     staged("quantity: kinetic_energy, below: 1e-9")),
+    # 100 per second from 0.1 to 1 s are due at 0.1, 0.11, ..., 1 s: 91 particles.
+    ("at most 91 until the end of the stage at the rate of particles.jet",
+     staged("quantity: inserted_count.jet, above: 91", "1 s"),
+     staged("quantity: inserted_count.jet, above: 90", "1 s")),
+    ("is evaluated at the rows of the time series",
+     staged("quantity: kinetic_energy, below: 1 nJ", "0.2 s", "output.timeseries_interval=0.3 s"),
+     staged("quantity: kinetic_energy, below: 1 nJ", "0.2 s", "output.timeseries_interval=10 ms")),
+    (r"velocity \(.* is \[0, 0, 0.3\] m/s, but particles enter through.* such as \[0, 0, -0.3\] m/s",
+     entered(DOWN, "[0, 0, 0.3]"), entered(DOWN, "[0.3, 0, -0.01]", 0.0)),
+    (r"points against it.* such as \[0.1, 0, -0.3\]", entered(RECTANGLE, "[0.1, 0, 0.3]"),
+     entered(RECTANGLE, "[0.1, 0, -0.3]")),
+    (r"gravity moves them backward.* such as \[0.3, 0, 0", entered(UP, "[0.3, 0, 0]"), entered(UP, "[0, 0, 0.3]")),
+    (r"do not leave the face.* such as \[0.*, 0, -0.3\]", entered(ACROSS, "[0, 0, -0.3]"),
+     entered(ACROSS, "[0, 0, 0]")),
+    (r"do not leave the face.* such as \[0, 0, -0", entered(DOWN, "[0, 0, 0]", 0.0), entered(DOWN, "[0, 0, 0]")),
+    (r"clump.spheres.2.position .* the same sphere as spheres.1: its contacts count twice",
+     rod("{position: [2 mm, 1e-13, 0], radius: 2 mm}"), rod("{position: [2 mm, 0, 0], radius: 1.9 mm}")),
+    (r"clump.spheres.2.position .* 0.0005 m away from the surface of spheres.1",
+     rod("{position: [6.5 mm, 0, 0], radius: 2 mm}"), rod("{position: [6 mm, 0, 0], radius: 2 mm}")),
+    ("motion.0.* begins at 0.2 s, but the run ends at 0.05 s",
+     ["walls.floor.motion={kind: translation, velocity: [0, 0, 1], start: 0.2}"], []),
+    ("gravity.times.* begins at 0.2 s", ["gravity={times: [0.2, 0.4], vectors: [[0, 0, -9.81], [0, 0, -1]]}"],
+     ["gravity={times: [0.0, 0.4], vectors: [[0, 0, -9.81], [0, 0, -1]]}"]),
+    ("the insertion starts at 0.1 s, but the run ends at 0.1 s", [jet(LATE_RAIN), "run.duration=0.1"],
+     [jet(LATE_RAIN), "run.duration=0.3"]),
+])  # fmt: skip
+def test_probable_mistake_is_reported(tmp_path, sentence, wrong, right):
+    """The scene of ten beads with overrides that are probably wrong, and that are just right."""
+    wrong, right = (
+        any(re.search(sentence, each) for each in warnings_of(scene_of(tmp_path, *overrides)))
+        for overrides in (wrong, right)
+    )
+    assert wrong and not right
 
 
 def test_wrong_unit_of_a_diameter_is_reported_before_the_errors_that_follow_from_it(tmp_path):
     """Particles of 4 m allow a step of 15 ms, in which the initial velocity moves the others too far."""
-    face = "{disc: {center: [1 cm, 1 cm, 2 cm], normal: [0, 0, -1], radius: 5 mm}}"
-    inlet = f"{{kind: inlet, rate: 100 1/s, face: {face}}}"
-    jet = f"{{material: glass, count: 5, diameter: %s, velocity: [0, 0, -0.5 m/s], insert: {inlet}}}"
+    face = "face: {disc: {center: [1 cm, 1 cm, 2 cm], normal: [0, 0, -1], radius: 5 mm}}"
+    inlet = jet(f"kind: inlet, rate: 100 1/s, {face}", 5, "[0, 0, -0.5]")
     with pytest.raises(SceneError) as error:
-        plan_for(scene_of(tmp_path, "particles.beads.fixed=true", "particles.jet=" + jet % 4))
+        plan_for(scene_of(tmp_path, "particles.beads.fixed=true", inlet.replace("4 mm", "4")))
     first = error.value.problems[0]
     assert "particles.jet.diameter is 4 m, larger than the face of the inlet, which is 0.01 m wide" in first
     assert "4 mm is 0.004 m" in first and len(error.value.problems) > 1
-    assert not [
-        each for each in warnings_of(scene_of(tmp_path, "particles.jet=" + jet % "4 mm")) if "unit" in each
-    ]
-
-
-@pytest.mark.parametrize(("rates", "is_reported"), [([400], True), ([250, -250], False)])
-def test_angular_velocity_in_a_wrong_unit_is_reported(tmp_path, rates, is_reported):
-    """The farthest point is 30 mm from an axis: 12 and 7.5 m/s. The speeds of a chain do not add up."""
-    turns = [
-        f"{{kind: rotation, point: [0, 0, 0], axis: [0, 0, 1], angular_velocity: {rate}}}" for rate in rates
-    ]
-    found = warnings_of(scene_of(tmp_path, f"walls.floor.motion=[{', '.join(turns)}]"))
-    assert [each for each in found if "Angular velocities are in rad/s" in each] == found * is_reported
-    assert bool(found) == is_reported
-
-
-VIBRATION = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequency: 25 Hz}"
-
-
-@pytest.mark.parametrize(("interval", "halves"), [(20, 1), (60.2, 3), (40, None), (20.5, None)])
-@pytest.mark.parametrize("key", ["interval", "timeseries_interval"])
-def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
-    """25 Hz: 40 ms. At odd multiples of 20 ms, sin(w t) is 0 in all frames, within 1 % of the period."""
-    intervals = {"interval": "5 ms"} | {key: f"{interval} ms"}
-    overrides = [f"output.{name}={value}" for name, value in intervals.items()]
-    found = warnings_of(scene_of(tmp_path, f"walls.floor.motion={VIBRATION}", "run.duration=1 s", *overrides))
-    if halves is None:
-        assert found == []
-    else:
-        (warning,) = found
-        assert f"output.{key} (" in warning and "of walls.floor.motion (" in warning
-        assert (
-            f"{0.5 * halves:g} times the period 0.04 s" in warning and "0.005 s or less, 8 times" in warning
-        )
-
-
-@pytest.mark.parametrize(("velocity", "count"), [("2 mm/s", 1), ("0.05 m/s", 1), ("0.09 m/s", 0)])
-def test_planned_velocity_far_below_that_of_a_fall_is_reported(tmp_path, velocity, count):
-    """Particles of a lattice fall up to 30 mm onto the floor: sqrt(2 g h) = 0.77 m/s, a tenth of it is the
-    limit."""
-    region = "{box: {min: [0, 0, 10 mm], max: [2 cm, 2 cm, 30 mm]}}"
-    overrides = [f"particles.beads.insert.region={region}", f"run.velocity_max={velocity}"]
-    found = [each for each in warnings_of(scene_of(tmp_path, *overrides)) if "run.velocity_max (" in each]
-    assert len(found) == count
-    fall = (2.0 * 9.81 * 0.03) ** 0.5
-    assert all(f"particles.beads can fall 0.03 m and reach {fall:.3g} m/s" in each for each in found)
-    damped = warnings_of(scene_of(tmp_path, *overrides, "damping={drag: 20 1/s}"))
-    assert not [each for each in damped if "run.velocity_max (" in each]
-
-
-def inlet_scene(tmp_path, radius):
-    """Particles of 4 mm enter through a disc with 0.3 m/s downward, 1200 per second."""
-    face = f"{{disc: {{center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -1], radius: {radius} mm}}}}"
-    return flow_scene(tmp_path, f"{{kind: inlet, rate: 1200 1/s, face: {face}}}")
-
-
-def flow_scene(tmp_path, insertion, *overrides, count=300, velocity="-0.3 m/s"):
-    """A scene with an insertion of particles of 4 mm."""
-    jet = (
-        f"{{material: glass, count: {count}, diameter: 4 mm, velocity: [0, 0, {velocity}], insert: "
-        f"{insertion}}}"
-    )
-    return scene_of(tmp_path, f"particles.jet={jet}", "run.duration=0.3", *overrides)
-
-
-BOX = "{box: {min: [0, 0, 1 cm], max: [%s mm, %s mm, 2 cm]}}"
-DISC = "{cylinder: {from: [1 cm, 1 cm, 2 cm], to: [1 cm, 1 cm, 1 cm], radius: %s mm}}"
 
 
 def rate_through(scene):
@@ -142,190 +229,122 @@ def rate_through(scene):
     return len(start) / 0.25
 
 
-def assert_limits_the_rate(scene, is_too_small, largest_ratio, tolerance):
-    """Assert that a limit below the required 1200 particles per second is reported if, and only if, it is
-    one.
+INLET = "kind: inlet, face: {disc: {center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -1], radius: %s mm}}"
+CYLINDER = "region: {cylinder: {from: [1 cm, 1 cm, 2 cm], to: [1 cm, 1 cm, 1 cm], radius: 1 cm}}"
 
-    largest_ratio:  of the reported limit to the rate of the inserter
-    tolerance:      relative, of the rate of the inserter without a limit
-    Returns:        the warnings
-    """
-    found = queue_warnings(scene)
-    assert len(found) == is_too_small
+
+@pytest.mark.parametrize(("insertion", "largest_ratio"), [
+    (INLET % 3, 3.0), (INLET % 15, None), (f"kind: rain, {BOX % (6, 6)}", 4.0), (f"kind: rain, {CYLINDER}", None),
+])  # fmt: skip
+def test_region_or_face_that_is_too_small_for_its_rate_is_reported(tmp_path, insertion, largest_ratio):
+    """The forecast is an upper bound of the rate of the inserter, at most a few times as large; the required
+    rate is 1200 per second."""
+    scene = scene_of(tmp_path, jet(f"rate: 1200 1/s, {insertion}"), "run.duration=0.3")
+    found = [each for each in warnings_of(scene) if "are queued" in each]
     reached = rate_through(scene)
-    if is_too_small:
+    assert len(found) == (largest_ratio is not None)
+    if found:
         limit = float(found[0].split("at most about ")[1].split(" leave")[0])
         assert reached < limit < min(1200.0, largest_ratio * reached)
     else:
-        assert reached == pytest.approx(1200.0, rel=tolerance)
-    return found
+        assert reached == pytest.approx(1200.0, rel=0.05)
 
 
-def queue_warnings(scene):
-    """Warnings on particles that are queued."""
-    return [each for each in warnings_of(scene) if "are queued" in each]
+@pytest.mark.parametrize(("distance", "count"), [(0.00399, 0), (0.0035, 1)])
+def test_file_of_a_settled_bed_causes_no_warning(tmp_path, distance, count):
+    """Particles of radius 2 mm that overlap by 0.5 % of the radius touch; 25 % is more than the weight
+    explains."""
+    (tmp_path / "start.csv").write_text(f"x,y,z,r\n0,0,0.002,0.002\n0,{distance},0.002,0.002\n")
+    beads = "particles.beads={material: glass, insert: {kind: file, file: start.csv}}"
+    scene = scene_of(tmp_path, beads, "materials.glass.young_modulus=10 kPa", "run.velocity_max=0.01")
+    found = [each for each in warnings_of(scene) if "start.csv" in each]
+    assert len(found) == count
+    assert all("overlap by up to 0.25 of the smaller radius (lines 2 and 3)" in each for each in found)
 
 
-@pytest.mark.parametrize(("radius", "is_too_small"), [(3.0, True), (15.0, False)])
-def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_too_small):
-    """The forecast is an upper bound of the rate of the inserter, at most three times as large."""
-    assert_limits_the_rate(inlet_scene(tmp_path, radius), is_too_small, largest_ratio=3.0, tolerance=0.01)
+def packing(count, diameter):
+    """Overrides for particles in a box of 2 cm."""
+    box = "particles.beads.insert.region.box={min: [0, 0, 0], max: [2 cm, 2 cm, 2 cm]}"
+    changes = (f"count={count}", f"diameter={diameter} mm", "insert.kind=pack")
+    return [*(f"particles.beads.{change}" for change in changes), box]
 
 
-@pytest.mark.parametrize(("region", "is_too_small"), [(BOX % (6, 6), True), (DISC % 10, False)])
-def test_region_of_rain_that_is_too_small_for_its_rate_is_reported(tmp_path, region, is_too_small):
-    """The forecast is an upper bound of the rate of the inserter, at most four times as large."""
-    scene = flow_scene(tmp_path, f"{{kind: rain, rate: 1200 1/s, region: {region}}}")
-    for warning in assert_limits_the_rate(scene, is_too_small, largest_ratio=4.0, tolerance=0.05):
-        assert "leave the region in a second" in warning
-        assert "Enlarge the region, raise particles.jet.velocity, or lower the rate." in warning
-
-
-@pytest.mark.parametrize(
-    ("count", "gravity", "is_reported"), [(60, 0, True), (20, 0, False), (60, "-9.81", False)]
-)
-def test_rain_without_motion_is_limited_by_its_region(tmp_path, count, gravity, is_reported):
-    """4 cm3 hold at most 0.45 * 4 cm3 / 33.5 mm3 = 54 particles; 60 per second is a low rate with gravity."""
-    rain = f"{{kind: rain, rate: 60 1/s, region: {BOX % (20, 20)}}}"
-    scene = flow_scene(tmp_path, rain, f"gravity=[0, 0, {gravity}]", count=count, velocity=0)
-    found = queue_warnings(scene)
-    assert len(found) == is_reported
-    assert all("60 particles are required, but the region holds at most about 54" in each for each in found)
-
-
-DISC_DOWN = "{disc: {center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -2], radius: 15 mm}}"
-RECTANGLE_DOWN = "{rectangle: {corner: [-5 mm, -5 mm, 2.5 cm], sides: [[0, 3 cm, 0], [3 cm, 0, 0]]}}"
-DISC_UP = "{disc: {center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 15 mm}}"
-DISC_ACROSS = "{disc: {center: [0, 1 cm, 1 cm], normal: [1, 0, 0], radius: 8 mm}}"
-
-
-@pytest.mark.parametrize(("face", "velocity", "gravity", "fault", "proposed"), [
-    (DISC_DOWN, "[0, 0, 0.3]", -9.81, "is [0, 0, 0.3] m/s, but particles enter through", "[0, 0, -0.3]"),
-    (RECTANGLE_DOWN, "[0.1, 0, 0.3]", -9.81, "points against it", "[0.1, 0, -0.3]"),
-    (DISC_UP, "[0, 0, 0]", -9.81, "gravity moves them backward", "[0, 0, "),
-    (DISC_UP, "[0.3, 0, 0]", -9.81, "gravity moves them backward", "[0.3, 0, "),
-    (DISC_ACROSS, "[0, 0, -0.3]", -9.81, "do not leave the face", ", 0, -0.3]"),
-    (DISC_DOWN, "[0, 0, 0]", 0.0, "do not leave the face", "[0, 0, -"),
-    (DISC_DOWN, "[0, 0, 0]", -9.81, None, None),
-    (DISC_DOWN, "[0.3, 0, 0]", -9.81, None, None),
-    (DISC_DOWN, "[0.3, 0, -0.01]", 0.0, None, None),
-    (DISC_UP, "[0, 0, 0.3]", -9.81, None, None),
-    (DISC_ACROSS, "[0, 0, 0]", -9.81, None, None)
-])  # fmt: skip
-def test_inlet_that_particles_leave_backward_or_not_at_all_is_reported(
-    tmp_path, face, velocity, gravity, fault, proposed
-):
-    """The velocity decides, and gravity for a velocity parallel to the face; the proposed velocity has no
-    warning."""
-
-    def direction_warnings(velocity):
-        insertion = f"{{kind: inlet, rate: 100 1/s, face: {face}}}"
-        jet = f"{{material: glass, count: 20, diameter: 4 mm, velocity: {velocity}, insert: {insertion}}}"
-        scene = scene_of(tmp_path, f"particles.jet={jet}", f"gravity=[0, 0, {gravity}]", "run.duration=1")
-        return [each for each in warnings_of(scene) if "particles.jet" in each]
-
-    found = direction_warnings(velocity)
-    if fault is None:
-        assert not [each for each in found if "face of the inlet" in each]
-        return
-    (warning,) = found
-    assert warning.startswith("particles.jet.velocity (--set particles.jet=")
-    assert fault in warning and proposed in warning
-    valid = warning.split("such as ")[1].split(" m/s")[0]
-    assert direction_warnings(valid) == []
-
-
-@pytest.mark.parametrize(
-    ("last", "fault"),
-    [
-        ("{position: [2 mm, 1e-13, 0], radius: 2 mm}",
-         "the same sphere as spheres.1: its contacts count twice"),
-        ("{position: [6.5 mm, 0, 0], radius: 2 mm}", "0.0005 m away from the surface of spheres.1"),
-        ("{position: [2 mm, 0, 0], radius: 1.9 mm}", None),
-        ("{position: [6 mm, 0, 0], radius: 2 mm}", None)
-    ],
-    ids=["coincident", "disjoint", "concentric", "touching"]
-)  # fmt: skip
-def test_clumps_with_a_sphere_twice_or_a_gap_are_reported(tmp_path, last, fault):
-    def clump_warnings(last):
-        lines = ["{position: [0, 0, 0], radius: 2 mm}", "{position: [2 mm, 0, 0], radius: 2 mm}", last]
-        spheres = "".join(f"        - {line}\n" for line in lines)
-        text = TEXT.replace("    diameter: 4 mm\n", f"    clump:\n      spheres:\n{spheres}").replace(
-            "count: 10", "count: 1"
+@pytest.mark.parametrize(("height", "is_hit"), [(5, True), (20, False)])
+def test_particles_of_a_packing_that_overlap_a_wall_are_left_out(tmp_path, height, is_hit):
+    """Centers of spheres of radius 2 mm overlap a plate by more than the limit 0.1 R if they are less than 1.8
+    mm from it; the others remain as they are without the plate."""
+    beads = ["particles.beads.insert.kind=pack"]
+    plate = wall(f"rectangle, corner: [0, 0, {height} mm], sides: [[2 cm, 0, 0], [0, 2 cm, 0]]")
+    everywhere = initial_particles(scene_of(tmp_path, *beads)).position
+    particles, _, warnings = initial_state(plan_for(scene_of(tmp_path, *beads, *plate)), None, None)
+    expected = everywhere[abs(everywhere[:, 2] - 1e-3 * height) >= 1.8e-3]
+    assert (particles.position == expected).all() and len(warnings) == is_hit == (len(expected) < 10)
+    if is_hit:
+        left = f"{10 - len(expected)} of 10 particles are left out because they overlap walls.part"
+        assert (
+            left in warnings[0] and f"multiply its count or mass by {10 / len(expected):.3g}" in warnings[0]
         )
 
-        return [each for each in warnings_of(scene_of(tmp_path, text=text)) if ".clump." in each]
 
-    found = clump_warnings(last)
-    if fault is None:
-        assert found == []
-        return
-    (warning,) = found
-    line = TEXT[: TEXT.index("    diameter: 4 mm\n")].count("\n") + 5
+@pytest.mark.parametrize(("radius", "most_are_inside"), [(9, True), (4, False)])
+def test_particles_on_both_sides_of_a_container_are_named(tmp_path, radius, most_are_inside):
+    """A packing in a square of 2 cm with an open cylinder about its middle: 9 mm enclose 64 % of the area."""
+    vessel = wall(f"cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 5 cm], radius: {radius} mm")
+    plan = plan_for(scene_of(tmp_path, *vessel, *packing(300, 1)))
+    everywhere = initial_particles(plan.scene).position
+    outside = (np.linalg.norm(everywhere[:, :2] - 0.01, axis=1) > 1e-3 * radius).sum()
+    sentence = f": {outside} of 300 particles start outside walls.part and {300 - outside} inside."
+    _, _, warnings = initial_state(plan, None, None)
+    assert any(sentence in each for each in warnings) == most_are_inside
+
+
+@pytest.mark.parametrize(("size", "center"), [(0.012, 0.01), (0.05, 0.0)])
+def test_packing_leaves_out_the_inside_of_a_solid_body_but_not_of_a_container(tmp_path, size, center):
+    """A closed cube of 12 mm with space for whole particles of 2 mm inside, and one of 50 mm around all."""
+    points, corners = cube()
+    write(tmp_path / "body.stl", size * (points - 0.5) + center, corners)
+    parts = [*wall("mesh, file: body.stl"), *packing(600, 2), "walls.floor.point=[0, 0, -1 cm]"]
+    particles, _, warnings = initial_state(plan_for(scene_of(tmp_path, *parts)), None, None)
+    is_inside = abs(particles.position - center).max(axis=1) < 0.5 * size
+    if size < 0.02:
+        assert not is_inside.any() and 300 < len(particles) < 600 and "overlap walls.part" in warnings[0]
+    else:
+        assert is_inside.all() and len(particles) == 600 and warnings == []
+
+
+def test_packing_behind_a_wall_is_refused(tmp_path):
+    plan = plan_for(scene_of(tmp_path, "walls.floor.point=[0, 0, 11 mm]"))
+    with pytest.raises(
+        SceneError, match="has no particle left, because all are inside or behind walls.floor"
+    ):
+        initial_state(plan, None, None)
+
+
+def test_initial_particles_inside_walls_are_reported():
+    inside = particle_group([[0.0, 0.0, 0.05], [0.0, 0.0, 0.003], [0.0, 0.0, 0.0049]])
+    scene = build_scene({"balls": inside}, walls={"floor": plane([0, 0, 0], [0, 0, 1])})
+    (warning,) = particle_warnings(plan_for(scene), initial_particles(scene))
     assert (
-        warning.startswith("particles.beads.clump.spheres.2.position (")
-        and f"beads.yaml:{line}) is [0.00" in warning
+        "1 of 3 particles are inside walls.floor at the start, by up to 0.4 of the radius, at [0, 0, 0.003]"
+        in warning
     )
-    assert fault in warning
-    valid = warning.split("such as ")[1].split(" m")[0]
-    assert clump_warnings(f"{{position: {valid}, radius: 2 mm}}") == []
 
 
-MASS = 2500.0 * np.pi / 6.0 * 0.004**3
-"""Mass [kg] of a particle of 4 mm."""
-JET = "{kind: rain, rate: 100 1/s, start: 0.1 s, region: {box: {min: [0, 0, 1 cm], max: [2 cm, 2 cm, 2 cm]}}}"
-
-
-@pytest.mark.parametrize(("condition", "bound"), [
-    ("quantity: particle_count, above: 310", "at most 310, the number of all particles until then"),
-    ("quantity: particle_count, above: 309", None),
-    ("quantity: inserted_count.jet, above: 300", "at most 300, the count of particles.jet"),
-    ("quantity: inserted_count.jet, above: 299", None),
-    (f"quantity: deleted_mass, above: {310.5 * MASS}", f"at most {310.0 * MASS:.6g} kg"),
-    (f"quantity: deleted_mass, above: {309.5 * MASS}", None),
-    ("quantity: kinetic_energy, below: 0", "kinetic_energy is never below 0"),
-    ("quantity: kinetic_energy, below: 1e-9", None),
-])  # fmt: skip
-def test_condition_that_can_never_be_satisfied_is_reported(tmp_path, condition, bound):
-    """Ten particles at the start, and 300 that enter within 10 s."""
-    stages = f"stages=[{{name: fill, until: {{{condition}}}, max_duration: 10 s}}]"
-    text = TEXT.replace("  duration: 50 ms\n", "")
-    jet = f"particles.jet={{material: glass, count: 300, diameter: 4 mm, insert: {JET}}}"
-    found = [
-        each for each in warnings_of(scene_of(tmp_path, jet, stages, text=text)) if "stages.0.until" in each
-    ]
-    assert len(found) == (bound is not None)
-    assert bound is None or (bound in found[0] and "the stage lasts its max_duration, 10 s" in found[0])
-
-
-@pytest.mark.parametrize(("duration", "above", "is_reported"), [(1.0, 91, True), (1.0, 90, False)])
-def test_count_that_a_flow_does_not_reach_within_the_stage_is_reported(
-    tmp_path, duration, above, is_reported
-):
-    """100 per second from 0.1 to 1 s are due at 0.1, 0.11, ..., 1 s: 91 particles."""
-    stages = f"stages=[{{name: fill, until: {{quantity: inserted_count.jet, above: {above}}}, max_duration: {duration}}}]"
-    text = TEXT.replace("  duration: 50 ms\n", "")
-    jet = f"particles.jet={{material: glass, count: 300, diameter: 4 mm, insert: {JET}}}"
-    found = [
-        each for each in warnings_of(scene_of(tmp_path, jet, stages, text=text)) if "stages.0.until" in each
-    ]
-    assert len(found) == is_reported
-    assert not found or "at most 91 until the end of the stage at the rate of particles.jet" in found[0]
-
-
-@pytest.mark.parametrize(("interval", "is_reported"), [("0.3 s", True), ("10 ms", False)])
-def test_stage_without_a_row_for_its_condition_is_reported(tmp_path, interval, is_reported):
-    until = "{quantity: kinetic_energy, below: 1 nJ}"
-    stages = f"stages=[{{name: settle, until: {until}, max_duration: 0.2 s}}]"
-    text = TEXT.replace("  duration: 50 ms\n", "")
-    scene = scene_of(tmp_path, stages, f"output.timeseries_interval={interval}", text=text)
-    found = [each for each in warnings_of(scene) if "is evaluated at the rows of the time series" in each]
-    assert len(found) == is_reported
-
-
-@pytest.mark.parametrize("key", ["gravity=[0, 0, -1e-300]", "pairs.glass-glass.restitution=1e-300"])
-def test_numbers_whose_square_underflows_are_zero(tmp_path, key):
-    """A gravity of 1e-300 has no direction in double precision, and a restitution of 1e-300 no damping."""
-    scene = scene_of(tmp_path, key)
-    assert scene == scene_of(tmp_path, key.replace("-1e-300", "0").replace("1e-300", "0"))
-    assert plan_for(scene).time_step > 0.0
+@pytest.mark.parametrize(("positions", "distance", "limit", "overlap"), [
+    ([[0, 0, 0.1], [0, 0, 0.1]], 0.01, 0.1, 2.0),
+    ([[0.05, 0, 0], [0, 0, 0], [0, 0.007, 0]], 0.003, 0.1, 0.6),
+    ([[0, 0, -0.998], [0, 0, 0.999]], 0.007, 0.1, 1.4),
+    ([[0, 0, 0], [0, 0.0099, 0]], None, 0.1, 0.02),
+    ([[0, 0, 0], [0, 0.007, 0]], None, 0.7, 0.6),
+], ids=["identical", "overlap", "periodic", "touching", "higher limit"])  # fmt: skip
+def test_initial_particles_that_overlap_each_other_are_refused(positions, distance, limit, overlap):
+    """Spheres with the radius 5 mm overlap by (2 R - |x_i - x_j|) / R."""
+    domain = {"min": [-1.0] * 3, "max": [1.0] * 3, "periodic": ["z"], "on_exit": "error"}
+    scene = build_scene({"balls": particle_group(positions)}, domain=domain, numerics={"max_overlap": limit})
+    if distance is None:
+        return refuse_initial_overlaps(scene, initial_particles(scene))
+    sentence = (
+        f"overlap by {overlap:g} of the smaller radius .* at most {limit:g} .* Move them {distance:g} m"
+    )
+    with pytest.raises(SceneError, match=sentence):
+        refuse_initial_overlaps(scene, initial_particles(scene))
