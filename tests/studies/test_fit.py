@@ -26,8 +26,7 @@ def test_fit_to_exact_data_recovers_the_curve(limit):
     found = fit(synthetic_measurements(SOFT, 8.0), limit)
     for name in ("sigma", "psi", "limit_velocity"):
         assert getattr(found.curve, name) == pytest.approx(getattr(SOFT, name), rel=1e-7)
-    assert found.correlation == pytest.approx(1.0, abs=1e-12)
-    assert found.r_squared == pytest.approx(1.0, abs=1e-12)
+    assert (found.correlation, found.r_squared) == pytest.approx((1.0, 1.0), abs=1e-12)
 
 
 @pytest.mark.parametrize(("truth", "fastest", "fitted_limit"), [(STEEL, 30.0, False), (SOFT, 9.0, True)])
@@ -38,10 +37,8 @@ def test_coverage_of_one_standard_error_matches_student_t(truth, fastest, fitted
     names = ("sigma", "psi", "limit_velocity")[: 2 + fitted_limit]
     inside = np.zeros(len(names))
     for seed in range(sample_count):
-        found = fit(
-            synthetic_measurements(truth, fastest, rows, 0.004, seed),
-            None if fitted_limit else truth.limit_velocity,
-        )
+        data = synthetic_measurements(truth, fastest, rows, 0.004, seed)
+        found = fit(data, None if fitted_limit else truth.limit_velocity)
         deviations = [abs(getattr(found.curve, name) - getattr(truth, name)) for name in names]
         inside += np.array(deviations) < [getattr(found.errors, name) for name in names]
     expected = 1.0 - 2.0 * student.cdf(-1.0, rows - len(names))
@@ -52,50 +49,34 @@ def test_coverage_of_one_standard_error_matches_student_t(truth, fastest, fitted
 def test_limit_velocity_from_materials_is_equation_11():
     """The smaller yield strength, of 316, determines the limit."""
     limit = np.sqrt(3.0 * 0.310e9 / 8030.0)
-    assert limit_from_materials("stainless_316") == pytest.approx(limit, rel=1e-12)
     assert limit_from_materials("chrome_52100", "stainless_316") == pytest.approx(limit, rel=1e-12)
+    with pytest.raises(GranflowError, match="glass has no yield strength"):
+        limit_from_materials("glass")
 
 
-@pytest.mark.parametrize(
-    ("make_data", "limit", "expected"),
-    [
-        (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0,
-         "needs at least 3 rows, but there are 2"),
-        (lambda: synthetic_measurements(SOFT, 8.0), 5.0,
-         "The limit velocity is 5 m/s, but the restitution"),
-        (lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False), 12.0,
-         "at 1 different velocities"),
-        (lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1), None,
-         "do not determine the limit velocity")
-    ],
-    ids=["few", "above the limit", "one velocity", "far below"]
-)  # fmt: skip
-def test_insufficient_data_are_rejected(make_data, limit, expected):
+@pytest.mark.parametrize(("data", "limit", "expected"), [
+    (synthetic_measurements(SOFT, 8.0, count=2), 12.0, "needs at least 3 rows, but there are 2"),
+    (synthetic_measurements(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
+    (synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1), None, "do not determine the limit velocity")
+])  # fmt: skip
+def test_insufficient_data_are_rejected(data, limit, expected):
     with pytest.raises(GranflowError, match=expected):
-        fit(make_data(), limit)
+        fit(data, limit)
 
 
-# ---------------------------------------------------------------- files
-
-
-def written(tmp_path, text, encoding="utf-8"):
+def written(tmp_path, text):
     path = tmp_path / "data.csv"
-    path.write_bytes(text.encode(encoding))
+    path.write_text(text, encoding="utf-8")
     return path
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "velocity,restitution\n1,0.8\n2,0.7\n",
-        "\ufeffv,e\r\n1,0.8\r\n2,0.7\r\n",
-        "# Smith 1999\n\nV ; E ; remark\n1;0.8;first\n# a comment\n2;0.7;\n",
-        "e\tvelocity [m/s]\n0.8\t1\n0.7\t2\n",
-        'velocity (m/s), restitution coefficient\n"1 m/s", 80 %\n2000 mm/s, 0.7\n',
-        "velocity [mm/s],e [%]\n1000,80\n2 m/s,70\n",
-    ],
-    ids=["plain", "BOM", "semicolons", "tabs", "units", "units of columns"],
-)
+@pytest.mark.parametrize("text", [
+    "\ufeffv,e\r\n1,0.8\r\n2,0.7\r\n",
+    "# Smith 1999\n\nV ; E ; remark\n1;0.8;first\n# a comment\n2;0.7;\n",
+    "e\tvelocity [m/s]\n0.8\t1\n0.7\t2\n",
+    'velocity (m/s), restitution coefficient\n"1 m/s", 80 %\n2000 mm/s, 0.7\n',
+    "velocity [mm/s],e [%]\n1000,80\n2 m/s,70\n",
+])  # fmt: skip
 def test_equivalent_table_formats_give_equal_data(tmp_path, text):
     data = read_measurements(written(tmp_path, text))
     np.testing.assert_allclose(data.velocity, [1.0, 2.0], rtol=1e-15)
@@ -103,68 +84,32 @@ def test_equivalent_table_formats_give_equal_data(tmp_path, text):
     np.testing.assert_array_equal(data.uncertainty, [1.0, 1.0])
 
 
-def test_deviations_and_weights_are_converted_to_uncertainties(tmp_path):
-    deviations = read_measurements(written(tmp_path, "v,e,std\n1,0.8,0.1\n2,0.7,0.2\n"))
-    np.testing.assert_array_equal(deviations.uncertainty, [0.1, 0.2])
-    weights = read_measurements(written(tmp_path, "v,e,weight\n1,0.8,4\n2,0.7,1\n"))
-    np.testing.assert_array_equal(weights.uncertainty, [0.5, 1.0])
-    assert (deviations.absolute, weights.absolute) == (True, False)
+@pytest.mark.parametrize(("name", "values", "expected"), [
+    ("std", (0.1, 0.2), [0.1, 0.2]), ("weight", (4, 1), [0.5, 1.0])
+])  # fmt: skip
+def test_deviations_and_weights_are_converted_to_uncertainties(tmp_path, name, values, expected):
+    data = read_measurements(written(tmp_path, f"v,e,{name}\n1,0.8,{values[0]}\n2,0.7,{values[1]}\n"))
+    np.testing.assert_array_equal(data.uncertainty, expected)
+    assert data.absolute == (name == "std")
 
 
-BAD = """v;e;std
-1;0,5;0.1
-x;1.2;0.1
--3;nan;0.1
-;0.4;0.1
-2;;0
-0;-0.1;0.1
-5;.4;.1;7
-6;.4;.1
-"""
-
-
-def test_each_invalid_row_is_reported_with_the_expected_value(tmp_path):
-    path = written(tmp_path, BAD)
+@pytest.mark.parametrize(("text", "problems"), [
+    ("v;e\n1;0,5\nx;1.2\n-3;nan\n;0.4\n",
+     [":2: restitution is 0,5", ":3: velocity is x", ":3: restitution is 1.2", ":4: velocity is -3",
+      ":4: restitution is nan", ":5: velocity is empty"]),
+    ("v,e\n1,0,8\n", [":2: the row has 3 values, but the header has 2 columns"]),
+    ("v,e\n", [": the file has no measurements"]), ("1,0.8\n2,0.7\n", [":1: the header is 1, 0.8"]),
+    ("v,e,std,weight\n1,1,1,1\n", [":1: the header has both deviation and weight"]),
+    ("v [mm],e\n1,0.8\n", [":1: the column of velocity is in mm"])
+])  # fmt: skip
+def test_each_invalid_row_or_header_is_reported_with_its_line(tmp_path, text, problems):
+    path = written(tmp_path, text)
     with pytest.raises(FileError) as error:
         read_measurements(path)
-    expected = [
-        ":2: restitution is 0,5, but a decimal point is expected, not a comma: 0.5.",
-        ":3: velocity is x, but a velocity is expected, such as 3 m/s.",
-        ":3: restitution is 1.2, but a restitution coefficient must be in [0, 1].",
-        ":4: velocity is -3, but it must be above 0.",
-        ":4: restitution is nan, but a number is required; remove the row if nothing was measured.",
-        ":5: velocity is empty, but a number is required; remove the row if nothing was measured.",
-        ":6: restitution is empty, but a number is required; remove the row if nothing was measured.",
-        ":6: deviation is 0, but it must be above 0.",
-        ":7: velocity is 0, but it must be above 0.",
-        ":7: restitution is -0.1, but a restitution coefficient must be in [0, 1].",
-        ":8: the row has 4 values, but the header has 3 columns; use a point as decimal separator.",
-    ]
-    assert list(error.value.problems) == [f"{path}{each}" for each in expected]
+    assert len(error.value.problems) == len(problems)
+    for found, start in zip(error.value.problems, problems, strict=True):
+        assert found.startswith(f"{path}{start}")
 
-
-@pytest.mark.parametrize(("text", "expected"), [
-    ("", "the file has no rows"),
-    ("v,e\n", "no measurements below the header"),
-    ("1,0.8\n2,0.7\n", ":1: the header is 1, 0.8, which does not name velocity and restitution"),
-    ("v,e,std,weight\n1,1,1,1\n", "both deviation and weight"),
-    ("v,e,restitution\n1,0.8,0.8\n", ":1: the header has 2 columns for restitution"),
-    ("v [mm],e\n1,0.8\n",
-     ":1: the column of velocity is in mm, but mm is a unit of length and a velocity is expected"),
-    ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header has 2 columns")
-])  # fmt: skip
-def test_unusable_tables_are_rejected(tmp_path, text, expected):
-    with pytest.raises(FileError) as error:
-        read_measurements(written(tmp_path, text))
-    assert expected in error.value.problems[0]
-
-
-def test_file_that_is_not_utf8_is_rejected(tmp_path):
-    with pytest.raises(GranflowError, match="is not UTF-8 text"):
-        read_measurements(written(tmp_path, "v,e\n1,0.8 Größe\n", "latin-1"))
-
-
-# ---------------------------------------------------------------- command line
 
 SCENE = """
 title: Pasted
@@ -194,18 +139,3 @@ def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     found = (pasted.sigma, pasted.psi, pasted.limit_velocity)
     assert found == pytest.approx((3.0432, 0.540, 340.3), rel=1e-5)
     assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")
-
-
-def test_command_rejects_invalid_input(tmp_path, capsys):
-    path = written(tmp_path, "v,e\n1,1.8\n2,0.7\n")
-    assert main(["fit", str(path), "--fit-limit"]) == 2
-    assert "restitution is 1.8" in capsys.readouterr().err
-    assert main(["fit", str(path), "--material", "glass"]) == 2
-    good = written(tmp_path, "v,e\n1,0.8\n2,0.7\n3,0.6\n")
-    assert main(["fit", str(good), "--material", "glass"]) == 2
-    assert (
-        "glass has no yield strength, which the limit velocity requires (Zhou 2011, Eq. 11)"
-        in capsys.readouterr().err
-    )
-    assert main(["fit", str(good), "--material", "stainles_316"]) == 2
-    assert "Did you mean stainless_316?" in capsys.readouterr().err
