@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
+from scene_builders import build_scene, particle_group
 from scipy.stats import t as student
 
 from granflow.cli.main import main
 from granflow.contact.material import VelocityRestitution
 from granflow.errors import FileError, GranflowError
-from granflow.load import load_scene
 from granflow.studies.fit import Measurements, fit, limit_from_materials, read_measurements
 
 STEEL = VelocityRestitution(3.0432, 0.540, 340.3)
@@ -111,20 +112,6 @@ def test_each_invalid_row_or_header_is_reported_with_its_line(tmp_path, text, pr
         assert found.startswith(f"{path}{start}")
 
 
-SCENE = """
-title: Pasted
-gravity: [0, 0, 0]
-materials: {{steel: {{young_modulus: 193 GPa, poisson_ratio: 0.35, density: 8030}}}}
-pairs:
-  steel-steel: {{{snippet}, friction: 0}}
-contact: {{normal: zhou, tangential: none, rolling: none}}
-particles: {{balls: {{material: steel, diameter: 1 cm, insert: {{kind: positions, positions: [[0, 0, 0]]}}}}}}
-domain: {{min: [-1, -1, -1], max: [1, 1, 1], on_exit: error}}
-run: {{duration: 1 ms}}
-output: {{interval: 1 ms}}
-"""
-
-
 def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     data = synthetic_measurements(STEEL, 30.0)
     rows = zip(data.velocity.tolist(), data.restitution.tolist(), strict=True)
@@ -133,9 +120,8 @@ def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     assert main(["fit", str(path), "--limit-velocity", "340.3 m/s", "--out", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
     snippet = next(line.strip() for line in lines if line.strip().startswith("restitution: {"))
-    scene = tmp_path / "scene.yaml"
-    scene.write_text(SCENE.format(snippet=snippet), encoding="utf-8")
-    pasted = load_scene(scene).pairs["steel-steel"].restitution
+    scene = build_scene({"balls": particle_group([[0.0, 0.0, 0.0]])}, pair=YAML(typ="safe").load(snippet))
+    pasted = scene.pairs["glass-glass"].restitution
     found = (pasted.sigma, pasted.psi, pasted.limit_velocity)
     assert found == pytest.approx((3.0432, 0.540, 340.3), rel=1e-5)
     assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")

@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,28 +13,23 @@ from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
-from granflow.studies.figures import COLORS
 from granflow.studies.frames import (
     OPENING,
     VIEWS,
     aspect_of,
     camera_for,
     corners_of,
-    drawn_box,
     frames_of,
-    plane_box,
-    planes_of,
     read_force_chains,
     read_particles,
     read_walls,
     selected_frames,
     view_of,
 )
-from granflow.studies.render import UNSIGNED, Scale, prefixed, scale_for, speed_of, values_of
+from granflow.studies.render import UNSIGNED, prefixed, scale_for, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
-needs_plot = pytest.mark.skipif(find_spec("pyvista") is None, reason="needs the plot extra")
 
 
 @pytest.fixture
@@ -44,7 +38,7 @@ def run(tmp_path):
     writers = (
         ParticleFrames(tmp_path, INTERVAL),
         WallFrames(tmp_path, INTERVAL, {"floor": FLOOR}),
-        contact_frames(tmp_path),
+        ContactFrames(tmp_path, INTERVAL),
     )
     for k in range(4):
         snapshot = snapshot_of(
@@ -54,10 +48,6 @@ def run(tmp_path):
         for writer in writers:
             writer.observe(snapshot)
     return tmp_path
-
-
-def contact_frames(path):
-    return ContactFrames(path, INTERVAL)
 
 
 def test_each_frame_has_its_walls_and_contacts(run):
@@ -72,66 +62,30 @@ def test_each_frame_has_its_walls_and_contacts(run):
     contacts = contacts_of(7)
     np.testing.assert_allclose(chains.ends[:, 1], contacts["position_j"], rtol=1e-6)
     np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
-
-
-def test_planes_are_clipped_to_the_particles_except_along_their_normal(run):
-    walls = read_walls(frames_of(run)[1])
-    scene = SimpleNamespace(walls={"floor": SimpleNamespace(shape="plane")})
-    assert planes_of(walls, scene) == [0] and planes_of(walls, None) == []
-    floor = walls.points_of([0]) * 100.0 - [0.0, 0.0, 7.0]
-    bed = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]])
-    np.testing.assert_allclose(plane_box(floor, bed), [[-0.1, -0.1, -1.0], [2.1, 1.1, 2.0]])
-    np.testing.assert_allclose(drawn_box(floor, bed), [[-0.1, -0.1, -np.inf], [2.1, 1.1, np.inf]])
-    assert np.isinf(drawn_box(floor, np.zeros((0, 3)))).all()
+    path = run / "particles_0003.vtu"
+    path.write_bytes(path.read_bytes()[:700])
+    with pytest.raises(GranflowError, match=r"particles_0003.vtu cannot be read"):
+        read_particles(frames[-1])
 
 
 @pytest.mark.parametrize(("text", "numbers"), [
     ("last", [3]), ("first", [0]), ("2", [2]), ("0.45s", [2]), ("240 ms", [1]), ("0.6", [2]),
-    ("all", [0, 1, 2, 3]), ("1,last", [1, 3])
+    ("all", [0, 1, 2, 3]), ("1,last", [1, 3]), ("9s", None), ("7", None), ("3 mm", None)
 ])  # fmt: skip
 def test_frames_are_selected_by_position_number_or_time(run, text, numbers):
-    assert [frame.number for frame in selected_frames(frames_of(run), text)] == numbers
+    frames = frames_of(run)
+    if numbers is None:
+        with pytest.raises(GranflowError, match=f"--frame {text}"):
+            selected_frames(frames, text)
+    else:
+        assert [frame.number for frame in selected_frames(frames, text)] == numbers
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    ("9s", "--frame 9s: the frames are from 0 s to "),
-    ("-1 s", "give a time between them"),
-    ("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is expected"),
-    ("3 mm", "give last, first, all")
-])  # fmt: skip
-def test_absent_frames_are_rejected(run, text, message):
-    with pytest.raises(GranflowError, match=message):
-        selected_frames(frames_of(run), text)
-
-
-def test_directories_without_frames_are_rejected(tmp_path, capsys):
-    assert main(["render", str(tmp_path / "none")]) == 2
-    assert "there is no such directory" in capsys.readouterr().err
-    assert main(["render", str(tmp_path)]) == 2
-    assert "contains no particle frames" in capsys.readouterr().err
-
-
-def test_truncated_frame_is_rejected(run):
-    path = run / "particles_0003.vtu"
-    path.write_bytes(path.read_bytes()[:700])
-    with pytest.raises(GranflowError, match=r"particles_0003.vtu cannot be read"):
-        read_particles(frames_of(run)[-1])
-
-
-@pytest.mark.parametrize("arguments", [
-    *(["--size", text] for text in ("1600", "9x9", "100000x100000")), ["--range=2,1"], ["--zoom", "0"],
-    ["--fps", "-1"]
-])  # fmt: skip
-def test_invalid_arguments_are_rejected_with_the_expected_form(run, arguments, capsys):
+@pytest.mark.parametrize("option", ["--size=1600", "--size=9x9", "--range=2,1", "--zoom=0", "--fps=-1"])
+def test_invalid_arguments_are_rejected_with_the_expected_form(run, option, capsys):
     with pytest.raises(SystemExit):
-        main(["render", str(run), *arguments])
+        main(["render", str(run), option])
     assert "is not a " in capsys.readouterr().err
-
-
-def test_missing_plot_extra_is_reported_with_the_install_command(run, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyvista", None)
-    assert main(["render", str(run)]) == 2
-    assert "pip install pyvista matplotlib" in capsys.readouterr().err
 
 
 def test_vectors_are_colored_by_magnitude_or_component():
@@ -139,7 +93,7 @@ def test_vectors_are_colored_by_magnitude_or_component():
     assert values_of(arrays, "velocity")[0] == 13.0 and values_of(arrays, "velocity.z")[0] == 12.0
     for color, hint in (
         ("velocty", "Did you mean velocity"),
-        ("radius.x", "no such array"),
+        ("radius.x", "no such"),
         ("velocity.w", "no such"),
     ):
         with pytest.raises(GranflowError, match=hint):
@@ -153,53 +107,40 @@ def test_range_contains_98_percent_of_the_values_and_zero_if_near():
     assert (scale.title, scale.unit) == ("force\nmagnitude", "N")
     narrow = scale_for("radius", [2e-3 + 1e-5 * values])
     assert narrow.limits == pytest.approx((2.01e-3, 2.99e-3)) and (narrow.unit, narrow.factor) == ("mm", 1e-3)
-    signed = scale_for("velocity.z", [values - 10.0])
-    assert signed.limits == (-89.0, 89.0)
+    assert scale_for("velocity.z", [values - 10.0]).limits == (-89.0, 89.0)
     assert scale_for("radius", [values], limits=(1.0, 2.0)).limits == (1.0, 2.0)
+    assert [prefixed("kg", 0.5e-3), prefixed("m^2", 1e-6)] == [(pytest.approx(1e-6), "mg"), (1.0, "m^2")]
 
 
-@pytest.mark.parametrize(
-    ("unit", "largest", "factor", "shown"),
-    [("m", 2.8e-3, 1e-3, "mm"), ("N", 999.0, 1.0, "N"), ("N", 1000.0, 1e3, "kN"), ("kg", 0.5e-3, 1e-6, "mg"),
-     ("kg", 2.0, 1.0, "kg"), ("m^2", 1e-6, 1.0, "m^2"), ("", 5.0, 1.0, ""), ("J", 0.0, 1.0, "J")],
-)  # fmt: skip
-def test_unit_prefix_follows_the_largest_value(unit, largest, factor, shown):
-    assert prefixed(unit, largest) == (pytest.approx(factor), shown)
-
-
-@pytest.mark.parametrize("text", [*VIEWS, "1,-2,0.8", "0,0,1", "0,0,-3"])
-@pytest.mark.parametrize("aspect", [0.6, 1.8])
-def test_all_points_are_visible_and_fill_the_picture(text, aspect):
+@pytest.mark.parametrize("text", [*VIEWS, "1,-2,0.8", "0,0,1"])
+def test_all_points_are_visible_and_fill_the_picture(text):
     """Every point projects into the picture (pinhole formula); the outermost lies within 10 % of the edge."""
     points = corners_of(np.array([[-1.0, 2.0, 0.0], [1.0, 2.5, 4.0]]))
     view = view_of(text)
-    camera = camera_for(view, points, aspect)
-    projected = view.projected(points - camera.eye)
-    half = -np.tan(0.5 * OPENING) * projected[:, 2:] if view.perspective else camera.half_height
-    distances = np.abs(projected[:, :2] / half / [aspect, 1.0])
-    assert 0.9 < distances.max() < 1.0
-    assert np.all(projected[:, 2] < 0.0), "a point is behind the viewer"
+    for aspect in (0.6, 1.8):
+        camera = camera_for(view, points, aspect)
+        projected = view.projected(points - camera.eye)
+        half = -np.tan(0.5 * OPENING) * projected[:, 2:] if view.perspective else camera.half_height
+        distances = np.abs(projected[:, :2] / half / [aspect, 1.0])
+        assert 0.9 < distances.max() < 1.0
+        assert np.all(projected[:, 2] < 0.0), "a point is behind the viewer"
 
 
 def test_view_directions_match_their_names():
-    assert view_of("front").toward.tolist() == [0, -1, 0] and view_of("front").right.tolist() == [1, 0, 0]
-    assert view_of("side").toward.tolist() == [1, 0, 0] and view_of("side").right.tolist() == [0, 1, 0]
-    assert view_of("top").toward.tolist() == [0, 0, 1] and view_of("top").right.tolist() == [1, 0, 0]
+    directions = {
+        "front": ([0, -1, 0], [1, 0, 0]),
+        "side": ([1, 0, 0], [0, 1, 0]),
+        "top": ([0, 0, 1], [1, 0, 0]),
+    }
+    for name, expected in directions.items():
+        view = view_of(name)
+        assert (view.toward.tolist(), view.right.tolist()) == expected
     sideways = view_of("front", gravity=np.array([0.1, -9.8, 0.0]))
     assert sideways.up.tolist() == [0, 1, 0] and sideways.right.tolist() == [1, 0, 0]
     assert aspect_of(view_of("front"), corners_of(np.array([[0.0, 0, 0], [3, 9, 1]]))) == 3.0
-
-
-@pytest.mark.parametrize("text", ["behind", "1,2", "0,0,0", "1,nan,2"])
-def test_invalid_views_are_rejected(text):
-    with pytest.raises(GranflowError, match="--view"):
-        view_of(text)
-
-
-def test_speed_of_a_film_is_stated_as_a_ratio():
-    times = np.arange(101) * 0.01
-    assert [speed_of(times, rate) for rate in (25.0, 100.0, 400.0)] == ["4x slower", "real time", "4x faster"]
-    assert speed_of([0.5], 25.0) == ""
+    for text in ("behind", "0,0,0", "1,nan,2"):
+        with pytest.raises(GranflowError, match="--view"):
+            view_of(text)
 
 
 # Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.
@@ -210,17 +151,17 @@ from granflow.cli.main import main
 from granflow.studies.frames import FrameParticles, camera_for, view_of
 from granflow.studies.render import Renderer
 for name in ("front", "iso"):
-    for radius in (0.07, 0.4):
-        view = view_of(name)
-        camera = camera_for(view, np.array([[-1.0, -1, -1], [1, 1, 1]]) * 0.7, 1.0)
-        renderer = Renderer((600, 600), camera)
-        particles = FrameParticles(np.zeros((1, 3)), np.array([radius]), {})
-        renderer.set_particles(particles, np.array([[0, 0, 0]], np.uint8))
-        share = np.mean(renderer.draw().min(axis=2) < 128)
-        distance = np.linalg.norm(camera.eye)
-        seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))
-        slope = seen if view.perspective else radius / camera.half_height
-        print(share / (np.pi / 4 * slope**2))
+    radius = 0.4
+    view = view_of(name)
+    camera = camera_for(view, np.array([[-1.0, -1, -1], [1, 1, 1]]) * 0.7, 1.0)
+    renderer = Renderer((600, 600), camera)
+    particles = FrameParticles(np.zeros((1, 3)), np.array([radius]), {})
+    renderer.set_particles(particles, np.array([[0, 0, 0]], np.uint8))
+    share = np.mean(renderer.draw().min(axis=2) < 128)
+    distance = np.linalg.norm(camera.eye)
+    seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))
+    slope = seen if view.perspective else radius / camera.half_height
+    print(share / (np.pi / 4 * slope**2))
 picture = ["--chains", "--view", "top", "--cut", "--color", "velocity.z"]
 assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/a.png", "--size", "640x480", *picture]) == 0
 worn = ["--walls", "wear_depth", "--view", "top", "--size", "640x480"]
@@ -229,17 +170,6 @@ assert main(["render", sys.argv[1], "--film", "--size", "320x240", "--fps", "4"]
 """
 
 
-@needs_plot
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--walls", "wear_depth"], "the walls have no arrays. output.wall_forces gives pressure"),
-    (["--walls", "wear_depth", "--chains"], "have one color scale: give one of them"),
-])  # fmt: skip
-def test_walls_without_the_array_are_reported(run, arguments, message, capsys):
-    assert main(["render", str(run), *arguments]) == 2
-    assert message in capsys.readouterr().err
-
-
-@needs_plot
 @pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="needs the plot extra")
 def test_pictures_and_film(run):
     """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel
@@ -255,7 +185,7 @@ def test_pictures_and_film(run):
         [sys.executable, "-c", PICTURES, str(run)], capture_output=True, text=True, timeout=250
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    shares = [float(line) for line in done.stdout.split("\n")[:4]]
+    shares = [float(line) for line in done.stdout.split("\n")[:2]]
     np.testing.assert_allclose(shares, 1.0, atol=0.02)
     picture = np.asarray(Image.open(run / "a.png"))
     assert picture.shape == (480, 640, 3)
@@ -284,18 +214,5 @@ def test_stopped_film_leaves_no_file(run, monkeypatch, capsys):
         assert main(["render", str(run), "--film", "--size", "640x480"]) == 128 + signal.SIGINT
     finally:
         signal.signal(signal.SIGINT, before)
-    message = capsys.readouterr().err
-    assert "stopped after 1 of 4 frames; no animation is written." in message
+    assert "stopped after 1 of 4 frames" in capsys.readouterr().err
     assert not list((run / "pictures").iterdir())
-
-
-def test_groups_with_names_of_colors_have_these_colors():
-    names = {0: "red", 1: "beads", 2: "Blue", 3: "green"}
-    scale = Scale("group", "group", "", 1.0, (0.0, 3.0), names)
-    assert sorted(scale.palette) == sorted(COLORS)
-    assert [scale.palette[k] for k in (0, 2, 3)] == [
-        "#D55E00",
-        "#0072B2",
-        "#009E73",
-    ]  # vermilion, blue, green
-    assert Scale("group", "group", "", 1.0, (0.0, 1.0), {0: "a", 1: "b"}).palette == COLORS
