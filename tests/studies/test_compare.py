@@ -1,8 +1,6 @@
-"""`granflow compare` on two particles with one aborted run: tables against closed forms, page, error
-messages."""
+"""`granflow compare` on two particles with one aborted run: tables against closed forms, page, messages."""
 
 import csv
-import re
 import shutil
 import sys
 
@@ -13,15 +11,16 @@ from scene_builders import SOFT, build_scene, particle_group, plane
 from granflow.errors import GranflowError
 from granflow.studies.compare import report as reporting
 from granflow.studies.compare import runs
-from granflow.studies.compare.report import compare, notes_on
+from granflow.studies.compare.collisions import assess_collisions, subject_of, sweep_columns, sweeps_of
+from granflow.studies.compare.report import compare, draw_collisions, drawings, notes_on
 from granflow.studies.compare.runs import law_names, variants_of
+from granflow.studies.figures import Drawing, write_figures
 
 DIAMETER, SPEED = 0.01, 1.0
 REFERENCE = 0.1 * SPEED
 MODULUS = 0.5 * SOFT["young_modulus"] / (1.0 - SOFT["poisson_ratio"] ** 2)
-RADIUS_EFF = 0.25 * DIAMETER
 MASS_EFF = 0.5 * SOFT["density"] * np.pi / 6.0 * DIAMETER**3
-HERTZ = 4.0 / 3.0 * MODULUS * np.sqrt(RADIUS_EFF)
+HERTZ = 4.0 / 3.0 * MODULUS * np.sqrt(0.25 * DIAMETER)
 DURATION_RATIO = 2.9432751838
 """T/Ts of an elastic Hertz contact: twice eta1 of Zhou's Eq. 14."""
 
@@ -39,6 +38,11 @@ def overlap_max(velocity):
 def spring(velocity):
     """(4/5) (5/4 k^4 M v^2)^(1/5) (Eq. 19)."""
     return 0.8 * (1.25 * HERTZ**4 * MASS_EFF * velocity**2) ** 0.2
+
+
+def half_period(velocity):
+    """Contact duration with the spring of a velocity: pi sqrt(M / alpha)."""
+    return np.pi * np.sqrt(MASS_EFF / spring(velocity))
 
 
 def head_on():
@@ -73,111 +77,53 @@ def table(found):
     return {(row["quantity"], row["law"]): (float(row["value"]), float(row["ratio"])) for row in rows}
 
 
-def test_each_law_has_its_own_automatic_step(table):
-    """0.05 of a quarter period pi/2 sqrt(M/alpha), or of half of Hertz's contact time, at the fastest
-    approach."""
-    quarter = {
-        name: 0.5 * np.pi * np.sqrt(MASS_EFF / spring(v))
-        for name, v in (("onset", SPEED), ("ref", REFERENCE))
+def test_each_law_has_its_own_automatic_step_overlap_and_duration(table):
+    """0.05 of a quarter period, or of half of Hertz's contact time, at the fastest approach. Eq. 19 keeps the
+    largest overlap of Eq. 5; the sampling interval is the resolution of contact durations."""
+    steps = {
+        "linear_onset": half_period(SPEED),
+        "linear_reference": half_period(REFERENCE),
+        "hertz": duration(SPEED),
     }
-    assert table["time step", "linear_onset"][0] == pytest.approx(0.05 * quarter["onset"], rel=1e-9)
-    assert table["time step", "linear_reference"][0] == pytest.approx(0.05 * quarter["ref"], rel=1e-9)
+    for law, contact_time in steps.items():
+        assert table["time step", law][0] == pytest.approx(0.05 * 0.5 * contact_time, rel=1e-8)
     assert table["time step", "linear_reference"][1] == pytest.approx(10.0**0.2, rel=1e-9)
-    assert table["time step", "hertz"][0] == pytest.approx(0.05 * 0.5 * duration(SPEED), rel=1e-8)
-    steps = 47.0 * duration(REFERENCE) / table["time step", "hertz"][0]
-    assert table["steps needed", "hertz"][0] == pytest.approx(steps, abs=1.0)
-
-
-@pytest.mark.parametrize("law", ["linear_onset", "hertz"])
-def test_overlap_and_contact_duration_match_theory(table, law):
-    """Eq. 19 keeps the largest overlap of Eq. 5; the sampling interval is the resolution of contact
-    durations."""
-    expected = overlap_max(SPEED) / (0.5 * DIAMETER)
-    assert table["maximum overlap/radius", law][0] == pytest.approx(expected, rel=0.01)
-    contact_duration = duration(SPEED) if law == "hertz" else np.pi * np.sqrt(MASS_EFF / spring(SPEED))
-    assert table["median contact duration", law][0] == pytest.approx(
-        contact_duration, abs=duration(REFERENCE) / 8.0
-    )
+    count = 47.0 * duration(REFERENCE) / table["time step", "hertz"][0]
+    assert table["steps needed", "hertz"][0] == pytest.approx(count, abs=1.0)
+    resolution = duration(REFERENCE) / 8.0
+    for law in ("linear_onset", "hertz"):
+        expected = overlap_max(SPEED) / (0.5 * DIAMETER)
+        assert table["maximum overlap/radius", law][0] == pytest.approx(expected, rel=0.01)
+        assert table["median contact duration", law][0] == pytest.approx(steps[law], abs=resolution)
 
 
 def test_an_aborted_run_is_a_result(found, table):
     """The one spring overlaps 10^0.2 times as far, beyond the limit, before half of its own contact time is
-    over."""
+    over: a spring 10^0.4 times as stiff is required. Two particles form no bed to assess the other spring."""
     comparison, out = found
-    stopped = {run.variant.key: run for run in comparison.runs if run.stopped}
-    assert list(stopped) == ["linear_reference"]
+    (stopped,) = (run for run in comparison.runs if run.stopped)
+    assert stopped.variant.key == "linear_reference"
     first_contact = 4.0 * duration(REFERENCE)
-    assert (
-        first_contact
-        < stopped["linear_reference"].time
-        < first_contact + 0.5 * np.pi * np.sqrt(MASS_EFF / spring(REFERENCE))
-    )
-    assert "more than numerics.max_overlap" in stopped["linear_reference"].stopped
+    assert first_contact < stopped.time < first_contact + 0.5 * half_period(REFERENCE)
     assert np.isnan(table["end of stage", "linear_reference"][0])
     assert np.isnan(table["steps needed", "linear_reference"][1]), "an aborted run has no ratios"
-    assert table["steps needed", "hertz"][1] > 0.0
-    assert "linear of 0.1 m/s was aborted at" in (out / "compare.html").read_text(encoding="utf-8")
-
-
-def test_the_springs_are_assessed_in_the_scene(found):
-    """One spring fails if its run aborts; two particles form no bed for the assessment of the other."""
-    one_spring, spring_per_contact = found[0].assessments[-2:]
-    assert one_spring.holds and re.match(
-        r"The run was aborted at 0.0\d+ s: particle \d .* overlaps with", one_spring.why
-    )
-    assert spring_per_contact.holds is None and "too few contacts" in spring_per_contact.why
-
-
-def test_a_spring_below_the_impact_velocity_is_reported(found):
-    """The particles collide at ten times the reference velocity: a spring 10^0.4 times as stiff is
-    required."""
-    (sentence,) = (note for note in notes_on(found[0]) if "softer" in note)
-    assert sentence.startswith(
-        "linear of 0.1 m/s is softer than the impacts of this scene require: the largest overlap"
-    )
-    velocity = re.search(
-        r"an impact at (\S+) m/s, for which Eq. 19 gives a spring 2.5 times as stiff", sentence
-    )[1]
-    assert float(velocity) == pytest.approx(SPEED, rel=0.03), (
-        "rows of the time series miss the largest overlap"
-    )
-    assert "--reference-velocity" in sentence and "run.velocity_max" in sentence
-    assert sentence.partition(":")[0] in (found[1] / "compare.html").read_text(encoding="utf-8")
-
-
-def test_page_without_figures_is_self_contained_and_gives_the_reason(found):
-    comparison, out = found
+    one_spring, spring_per_contact = comparison.assessments[-2:]
+    assert one_spring.holds and spring_per_contact.holds is None
+    (sentence,) = (note for note in notes_on(comparison) if "softer" in note)
+    assert "for which Eq. 19 gives a spring 2.5 times as stiff" in sentence
     html = (out / "compare.html").read_text(encoding="utf-8")
-    ratio = "linear\nof 0.1 m/s\nover linear\nper contact"
-    for text in ("Side by side", "linear per contact", "linear of 0.1 m/s", ratio, "pip install matplotlib"):
-        assert text in html
-    assert not re.findall(r'(?:src|href)="(?:http|//)', html)
-    assert {path.name for path in out.glob("*.csv")} == {
-        "compare.csv", "heights.csv", "forces.csv", "durations.csv"
-    }  # fmt: skip
-    script = (out / "side_by_side.py").read_text(encoding="utf-8")
-    compile(script, "side_by_side.py", "exec")
-    for run in comparison.runs:
-        assert (out / run.variant.key / "particles.pvd").exists() and repr(run.variant.key) in script
+    assert "linear of 0.1 m/s was aborted at" in html and "pip install matplotlib" in html
+    compile((out / "side_by_side.py").read_text(encoding="utf-8"), "side_by_side.py", "exec")
 
 
-def test_matplotlib_figures_are_written(found, tmp_path):
-    pytest.importorskip("matplotlib")
-    from granflow.studies.compare.report import drawings
-    from granflow.studies.figures import write_figures
-
-    assert not write_figures(tmp_path, drawings(found[0].runs, None, {}))
-    assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
-
-
-@pytest.mark.parametrize(("given", "sentence"), [
-    ("zhou,hertzz", "Unknown contact model hertzz. Did you mean hertz?"),
-    ("zhou,xyz", "Unknown contact model xyz. The contact models are zhou, hertz, linear"),
-    ("zhou, zhou", "The contact model zhou is repeated: give each once."), (",", "--laws is empty")
-])  # fmt: skip
-def test_invalid_lists_of_contact_models_raise_one_sentence(given, sentence):
-    with pytest.raises(GranflowError, match=re.escape(sentence)):
-        law_names(given)
+def test_lists_of_contact_models_are_checked():
+    for given, sentence in (
+        ("zhou,hertzz", "Did you mean hertz?"),
+        ("zhou, zhou", "zhou is repeated"),
+        (",", "empty"),
+    ):
+        with pytest.raises(GranflowError, match=sentence.replace("?", r"\?")):
+            law_names(given)
 
 
 def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
@@ -187,7 +133,6 @@ def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
     (out / "hertz" / runs.RECORD).unlink()
     shutil.rmtree(out / "hertz")
     run_variant = runs.run_variant
-    lines = []
     ran = []
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr(reporting, "sweeps_of", lambda *_: [])
@@ -198,27 +143,20 @@ def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
         (arguments[1] / "result.json").write_text("{}")
         raise KeyboardInterrupt
 
+    def completed(*arguments):
+        ran.append(arguments[0].key)
+        return run_variant(*arguments)
+
+    def refuse(directory):
+        if directory.exists():
+            raise GranflowError(f"other results in {directory.name}")
+
     monkeypatch.setattr(runs, "run_variant", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        compare(head_on(), ["linear", "hertz"], out, report=lines.append, prepare=refuse)
-    assert lines == [
-        "run 1 of 3: linear per contact, kept", "run 2 of 3: linear of 0.1 m/s, kept", "run 3 of 3: hertz"
-    ]  # fmt: skip
-    monkeypatch.setattr(
-        runs, "run_variant", lambda *arguments: ran.append(arguments[0].key) or run_variant(*arguments)
-    )
+        compare(head_on(), ["linear", "hertz"], out, prepare=refuse)
+    monkeypatch.setattr(runs, "run_variant", completed)
     compare(head_on(), ["linear", "hertz"], out, prepare=refuse)
     assert ran == ["hertz", "hertz"]
-
-    def rows(folder):
-        with (folder / "compare.csv").open(newline="") as file:
-            return [
-                row
-                for row in csv.DictReader(file)
-                if "wall" not in row["quantity"] and row["quantity"] != "compilation"
-            ]
-
-    assert rows(out) == rows(found[1])
     for name in ("durations.csv", "heights.csv", "forces.csv"):
         assert (out / name).read_bytes() == (found[1] / name).read_bytes()
     (out / "hertz" / "timeseries.csv").write_text("time [s]\n0\n")
@@ -226,21 +164,20 @@ def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
         compare(head_on(), ["linear", "hertz"], out, prepare=refuse)
 
 
-def refuse(directory):
-    if directory.exists():
-        raise GranflowError(f"other results in {directory.name}")
-
-
 def fitted(**materials):
     """A scene whose restitution falls with velocity by Eq. 12, e(0.1 m/s) = exp(-2 (0.1/9.9)^0.5) =
     0.8179."""
     fit = {"sigma": 2.0, "psi": 0.5, "limit_velocity": 10.0}
-    floor = plane([0, 0, 0], [0, 0, 1], stages=["fill"])
+    region = {"box": {"min": [-0.5] * 3, "max": [0.5] * 3}}
+    poured = {
+        "material": "glass",
+        "count": 90,
+        "diameter": 0.01,
+        "insert": {"kind": "pack", "region": region},
+    }
     return build_scene(
-        {"listed": particle_group([[0, 0, 0.5]]), "poured": {**particle_group([[0, 0, 0]]), "count": 90,
-         "insert": {"kind": "pack", "region": {"box": {"min": [-0.5] * 3, "max": [0.5] * 3}}}}},
-        walls={"floor": floor}, pair={"restitution": fit}, materials=materials, run={}, stages=[
-            {"name": "fill", "duration": 0.1}, {"name": "open", "duration": 0.1}],
+        {"listed": particle_group([[0, 0, 0.5]]), "poured": poured},
+        walls={"floor": plane([0, 0, 0], [0, 0, 1])}, pair={"restitution": fit}, materials=materials,
     )  # fmt: skip
 
 
@@ -253,13 +190,63 @@ def test_variants_use_the_restitution_form_of_their_contact_model():
     assert variants["linear_reference"].normal["stiffness"] == {"reference_velocity": 0.1}
     assert variants["thornton"].scene is None and "yield strength" in variants["thornton"].refused
     hard = fitted(glass=SOFT | {"yield_strength": 1e8})
-    (thornton,) = variants_of(hard, ["thornton"], 0.1)
+    (thornton,) = variants_of(hard, ["thornton"], 0.1, most_particles=31)
     assert thornton.scene.pairs["glass-glass"].restitution is None
+    counts = {name: group.count for name, group in thornton.scene.particles.items()}
+    assert counts == {"listed": 1, "poured": 30}, "a reduction keeps explicit positions"
 
 
-def test_reduction_keeps_explicit_positions():
-    (one,) = variants_of(fitted(), ["hertz"], 0.1, most_particles=31)
-    assert {name: group.count for name, group in one.scene.particles.items()} == {"listed": 1, "poured": 30}
-    (whole,) = variants_of(fitted(), ["hertz"], 0.1)
-    assert whole.scene.particles["poured"].count == 90
-    assert whole.scene.output.energy_budget and whole.scene.run.time_step == "auto"
+@pytest.fixture(scope="module")
+def columns(taichi_f64):
+    """Collisions of the spring per contact over three decades of velocity."""
+    scene = head_on()
+    subject = subject_of(scene, REFERENCE)
+    variants = [each for each in variants_of(scene, ["linear"], REFERENCE) if each.key == "linear_onset"]
+    return sweep_columns(subject, sweeps_of(scene, subject, variants, steps=["fine"]))
+
+
+def test_springs_collide_as_harmonic_oscillators(columns):
+    """Half a period pi sqrt(M/alpha) and a maximum overlap v sqrt(M/alpha), at least 100 steps each. Eq. 19 per
+    contact uses at least the spring of a hundredth of the largest impact velocity.
+
+    The one spring deviates by 10^0.2 at ten times its velocity; Eq. 19 per contact by pi / 2.943 at any.
+    """
+    velocity = columns["velocity"]
+    contact_time = half_period(np.maximum(velocity, 0.01 * SPEED))
+    np.testing.assert_allclose(columns["duration"], contact_time, rtol=1e-3)
+    np.testing.assert_allclose(columns["overlap_max"], velocity * contact_time / np.pi, rtol=1e-3)
+    np.testing.assert_allclose(columns["restitution"], 1.0, atol=1e-3)
+    np.testing.assert_allclose(columns["duration_exact"], duration(velocity), rtol=1e-9)
+    np.testing.assert_allclose(columns["overlap_max_exact"], overlap_max(velocity), rtol=1e-9)
+    one_spring = columns | {
+        "law": np.full(len(velocity), "linear_reference"),
+        "duration": half_period(REFERENCE) + 0.0 * velocity,
+        "overlap_max": velocity * half_period(REFERENCE) / np.pi,
+    }
+    both = {name: np.concatenate([columns[name], one_spring[name]]) for name in columns}
+    wrong, corrected, unstable = assess_collisions(both)
+    assert wrong.holds and f"+{100.0 * (10.0**0.2 - 1.0):.1f} %" in wrong.why
+    assert corrected.holds and f"+{100.0 * (np.pi / DURATION_RATIO - 1.0):.1f} %" in corrected.why
+    assert unstable.holds is None
+
+
+@pytest.mark.parametrize(("fine", "coarse", "holds"), [(1.0, 1.05, False), (0.8, 1.0, True)])
+def test_stability_is_assessed_against_the_fine_step(fine, coarse, holds):
+    """A wrong restitution, instead of 0.8, with the fine step is not an instability; a gain with the coarse step
+    is."""
+    names = ("duration", "duration_exact", "overlap_max", "overlap_max_exact")
+    found = {name: np.ones(2) for name in names} | {
+        "law": np.full(2, "linear_reference"), "step": np.array(["fine", "coarse"]),
+        "velocity_over_reference": np.full(2, 10.0), "restitution": np.array([fine, coarse]),
+        "restitution_exact": np.full(2, 0.8),
+    }  # fmt: skip
+    assert assess_collisions(found)[2].holds is holds
+
+
+def test_figures_are_written(found, columns, tmp_path):
+    pytest.importorskip("matplotlib")
+    subject = subject_of(head_on(), REFERENCE)
+    collisions = Drawing(lambda figure: draw_collisions(figure, subject, columns, []), 5.0)
+    drawn = drawings(found[0].runs, None, {}) | {"collisions.png": collisions}
+    assert not write_figures(tmp_path, drawn)
+    assert {path.name for path in tmp_path.iterdir()} == set(drawn) and len(drawn) == 4

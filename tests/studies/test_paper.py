@@ -1,15 +1,10 @@
-"""Figures of the paper in reduced form: simulated collisions against theory solved by scipy without granflow;
-`granflow paper` on the command line."""
-
-import re
-import sys
+"""Figures of the paper in reduced form: simulated collisions against theory solved by scipy without granflow."""
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp, trapezoid
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from granflow.cli.main import main
 from granflow.studies.paper import figures
 from granflow.studies.paper.figures import PAPER_CASES, thornton_restitution
 
@@ -58,29 +53,17 @@ def hertz_numbers(case):
     return 4.0 / 3.0 * modulus * np.sqrt(0.5 * radius), 0.5 * mass
 
 
-def test_residual_overlap_and_duration_match_figure_1_and_the_table(taichi_f64):
+def test_residual_overlap_and_duration_match_figures_1_and_2_and_the_table(taichi_f64):
+    """The closed form of the residual overlap has an error of 1 %."""
     outcomes = figures.residual_run(RESTITUTIONS)
     exact = np.array([1.0 - root_of_equation_8(e) for e in RESTITUTIONS])
     assert outcomes.overlap_residual / outcomes.overlap_max == pytest.approx(exact, abs=2e-5)
     assert outcomes.restitution == pytest.approx(RESTITUTIONS, rel=1e-3)
     scales = [solved(e, 1.0, 1.0, 1.0)[0] / 1.25**0.4 for e in RESTITUTIONS]
-    k, mass = hertz_numbers(figures.CASE)
-    time_scale = (1.25 * mass / k) ** 0.4
-    diameters = figures.CASE.durations(np.ones(1), np.ones(1))[0] / (np.array(scales) * time_scale)
-    assert outcomes.duration == pytest.approx(diameters * scales * time_scale, rel=5e-3)
     figure_data = figures.residual_figure(outcomes, RESTITUTIONS)
     assert figure_data.columns["duration_over_ts_theory"] == pytest.approx(scales, rel=1e-6)
     assert all(deviation.is_within_target for deviation in figure_data.deviations)
-
-
-def test_error_of_the_closed_form_is_within_the_bound_of_figure_2():
-    figure_data = figures.error_figure(np.linspace(0.0, 0.999, 300))
-    exact = np.array([1.0 - root_of_equation_8(e) for e in figure_data.columns["restitution"]])
-    e = figure_data.columns["restitution"]
-    c = 0.8**2.5
-    closed = 1.0 - 0.8 * e**2 - c / 5.0 * e**8 / (1.0 - (1.0 - c) * e) + e**16 * (1.0 - e)
-    assert figure_data.columns["error"] == pytest.approx(closed / exact - 1.0, abs=1e-9)
-    assert 0.009 < figure_data.deviations[0].largest < 0.0108
+    assert 0.009 < figures.error_figure(np.linspace(0.0, 0.999, 300)).deviations[0].largest < 0.0108
 
 
 def test_restitution_duration_and_spring_match_figures_3_to_5(taichi_f64):
@@ -103,43 +86,7 @@ def test_restitution_duration_and_spring_match_figures_3_to_5(taichi_f64):
     assert all(deviation.is_within_target for figure_data in drawn for deviation in figure_data.deviations)
 
 
-def rounding_of_forces(case, diameter):
-    """Half of 2^-45 of the power of two above the largest force: Hertz with the radius of the largest spheres
-    at the overlap limit of these simulations, 0.8 radii."""
-    modulus = case.solid.young_modulus / (2.0 * (1.0 - case.solid.poisson_ratio**2))
-    largest = 4.0 / 3.0 * modulus * 0.8**1.5 * (0.5 * diameter) ** 2
-    return 0.5 * 2.0 ** (np.ceil(np.log2(largest)) - 45)
-
-
-def test_force_overlap_loops_match_equation_4(taichi_f64):
-    outcomes = figures.loop_run()
-    figure_data = figures.loop_figure(outcomes)
-    duration = 200 * outcomes.time_step  # of each collision; those of e = 0 have the largest spheres
-    rounding = rounding_of_forces(
-        figures.CASE, figures.CASE.diameter_lasting(duration, 0.0, figures.VELOCITY)
-    )
-    for index, e in enumerate(figures.LOOP_RESTITUTIONS):
-        of_case = figure_data.columns["restitution"] == e
-        share = figure_data.columns["overlap_over_max"][of_case]
-        force = figure_data.columns["force_over_max"][of_case]
-        rising = np.arange(len(share)) <= np.argmax(share)
-        if e == 0.0:  # the last force stops the pair; it is on the vertical unloading line
-            assert 0.0 <= force[-1] <= 1.0 and share[-1] == pytest.approx(1.0, abs=1e-5)
-            rising[-1] = False
-        assert force[rising] == pytest.approx(
-            share[rising] ** 1.5, rel=1e-9, abs=rounding / outcomes.force_max[index]
-        )
-        if e > 0.0:
-            y = root_of_equation_8(e)
-            above = np.maximum(share[~rising] - 1.0 + y, 0.0)  # the mean over the last step may be negative
-            slope = (1.0 - e**3 * y**1.5) / y
-            assert force[~rising] == pytest.approx(slope * above + e**3 * above**1.5, abs=2e-3)
-            dissipated = 1.0 - outcomes.restitution[index] ** 2
-            assert trapezoid(force, share) == pytest.approx(0.4 * dissipated, abs=1e-3)
-    assert outcomes.restitution[0] == pytest.approx(0.0, abs=1e-11)
-
-
-@pytest.mark.parametrize("ratio", [1.0, 2.0, 30.0])
+@pytest.mark.parametrize("ratio", [1.0, 30.0])
 def test_thornton_restitution_follows_from_the_energies(ratio):
     """Hertz up to yield, then linear with the slope at yield; unloading by Hertz on the flattened sphere.
 
@@ -155,26 +102,12 @@ def test_thornton_restitution_follows_from_the_energies(ratio):
     assert thornton_restitution(np.array([ratio]), 1.0)[0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_missing_matplotlib_is_reported_with_the_install_command(monkeypatch, tmp_path, capsys):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert main(["paper", "--out", str(tmp_path / "paper")]) == 2
-    message = capsys.readouterr().err
-    assert "pip install matplotlib" in message and "Traceback" not in message
-    assert not (tmp_path / "paper").exists()
-
-
 @pytest.mark.slow
 def test_page_contains_every_figure(taichi_f64, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.studies.paper import report
 
-    page = report.write_paper(tmp_path)
-    figures = sorted(path.stem for path in tmp_path.glob("*.png"))
-    assert figures == sorted(path.stem for path in tmp_path.glob("*.csv"))
-    assert len(figures) == 9
-    html = page.read_text(encoding="utf-8")
-    assert html.count("data:image/png;base64,") == len(figures)
-    sources = re.findall(r'(?:src|href)="([^"]*)"', html)
-    assert not [source for source in sources if source.startswith(("http", "//"))]
-    further = "it has more parameters than the restitution: work_of_adhesion, plasticity, pull_off_force"
-    assert re.findall("not compared: ([^<]*)", html) == [further]  # eepa, whose e is not a parameter
+    html = report.write_paper(tmp_path).read_text(encoding="utf-8")
+    names = sorted(path.stem for path in tmp_path.glob("*.png"))
+    assert names == sorted(path.stem for path in tmp_path.glob("*.csv")) and len(names) == 9
+    assert html.count("data:image/png;base64,") == len(names)

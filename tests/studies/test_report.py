@@ -110,7 +110,7 @@ def test_page_of_an_interrupted_and_resumed_run_states_reason_and_time(run):
     (run / "run.jsonl").write_text(lines)
     text = text_of(run)
     assert "The run did not finish (ended by RunError: see the warnings). granflow resume" in text
-    assert "resumed (2 sessions)" in text and "cuda" in text and "resumed from checkpoint_1.npz" in text
+    assert "cuda" in text and "resumed from checkpoint_1.npz" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
     assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*4", text, re.DOTALL)
 
