@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scene_builders import SOFT, build_scene, few_spheres, particle_group, plane, run_and_sample
+from scene_builders import SOFT, build_scene, particle_group, plane, run_and_sample
 
-import granflow as gf
 from granflow.contact import theory
 from granflow.io.frames import read_mesh
 
@@ -39,7 +38,7 @@ def belt(velocity=(SPEED, 0.0, 0.0), **more):
 
 
 def rectangle(motion, y=0.0, length=0.06, material="glass"):
-    """A rectangle whose corner is 2 cm beside the place (0, y, 0)."""
+    """A rectangle whose corner is 2 cm from the place (0, y, 0)."""
     return {
         "shape": "rectangle", "corner": [-0.02, y - 0.02, 0.0], "sides": [[length, 0.0, 0.0], [0.0, 0.04, 0.0]],
         "material": material, "motion": motion,
@@ -152,26 +151,3 @@ def test_the_edge_of_a_belt_does_no_work_without_friction(taichi_f64):
     assert last.particles["velocity"][0, 0] > 0.1, "the sphere has slid off the edge"
     assert abs(last.totals["wall_work"]) < 1e-12 * MASS * GRAVITY * RADIUS
     assert abs(last.totals["energy_error"]) < 1e-3
-
-
-def on_plane(**more):
-    """A sphere at rest on a plane, which may be a belt."""
-    parts = {key: PARTS[key] for key in ("pair", "gravity", "materials", "pairs")} | more.pop("parts", {})
-    return few_spheres(
-        {"balls": particle_group((0.0, 0.0, HEIGHT))}, {"belt": plane([0, 0, 0], [0, 0, 1], **more)}, **parts
-    )
-
-
-@pytest.mark.slow
-def test_a_wall_becomes_a_belt_while_the_simulation_runs(taichi_f64):
-    """From then on a sphere at rest accelerates at mu g; before, the scene has no moving wall."""
-    scene = on_plane(parts={"run": {"duration": 1.5 * ROLLING, "velocity_max": 0.3}})
-    with gf.Simulation(scene) as simulation:
-        simulation.run(until=2e-3)
-        began = simulation.time
-        assert abs(simulation.particles.velocity[0, 0]) < 1e-12
-        simulation.walls["belt"].motion = gf.SurfaceVelocity(velocity=[SPEED, 0, 0])
-        simulation.run(until=2e-3 + 0.5 * ROLLING)
-        expected = FRICTION * GRAVITY * (simulation.time - began)
-        assert simulation.particles.velocity[0, 0] == pytest.approx(expected, rel=0.01)
-        np.testing.assert_array_equal(simulation.walls["belt"].pose.offset, 0.0)

@@ -73,13 +73,13 @@ def test_torque_free_rotor_converges_to_the_jacobi_functions_with_order_two(taic
     assert coarse / fine == pytest.approx(4.0, rel=0.02)
 
 
-@pytest.mark.parametrize(("angle", "restitution"), [(20.0, 1.0), (50.0, 0.6)])
-def test_rod_that_hits_a_plate_has_the_velocities_of_the_impulse(taichi_f64, angle, restitution):
+def test_rod_that_hits_a_plate_has_the_velocities_of_the_impulse(taichi_f64):
     """The closed form is that of an instantaneous impulse; the rod turns during the contact.
 
     That changes the lever arm by tan(angle) times the turn, relative to the arm, and the impulse by about as
     much.
     """
+    angle, restitution = 50.0, 0.6
     speed = 0.01
     shape = shape_of(ROD)
     end = np.abs(np.array(ROD)[:, 0]).max()
@@ -152,24 +152,6 @@ def test_cundall_damping_reduces_the_fall_of_clumps_and_brings_them_to_rest(taic
     assert max(spins) > 5.0 and spins[-1] < 0.02 * max(spins)
     assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
     assert snapshots[-1].totals["damping_dissipation"] > 0.0
-
-
-def test_an_adaptive_time_step_gives_the_impact_of_a_fixed_one(taichi_f64):
-    """A tilted rod that falls on a plate: free flight takes longer steps, and the rebound is the same."""
-    group = clump_group(
-        [[0.0, 0.0, 0.02]], orientation=about([0, 1, 0], 35), angular_velocity=[0.0, 30.0, 10.0]
-    )
-    runs = [
-        run_clump(group, 0.01, 0.8, 1e7, 9.81, duration=0.07, velocity_max=1.0, time_step=step)
-        for step in ("adaptive", "auto")
-    ]
-    adaptive, fixed = (snapshots[-1] for snapshots in runs)
-    assert adaptive.step < 0.8 * fixed.step
-    assert fixed.totals["plastic_dissipation"] > 1e-6, "it has bounced"
-    assert max(abs(each.totals["energy_error"]) for each in runs[0]) < 1e-3
-    for name in ("clump_velocity", "angular_velocity"):
-        scale = np.abs(fixed.particles[name]).max()
-        assert adaptive.particles[name] == pytest.approx(fixed.particles[name], abs=1e-2 * scale), name
 
 
 def test_energy_of_elastic_rods_is_conserved_over_many_steps(taichi_f64):

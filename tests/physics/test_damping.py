@@ -35,16 +35,6 @@ def test_drag_decays_velocities_exponentially(taichi_f64):
     assert last["damping_dissipation"] == pytest.approx(lost, rel=1e-5)
 
 
-def test_terminal_velocity_of_drag_is_exact(taichi_f64):
-    """v = g / rate for any time step, after 40 decay times; the energies are of second order in h = rate dt /
-    2."""
-    last = run_and_sample(damped(particle_group([0.0] * 3, DIAMETER), 0.02, drag=2000.0), 0.02)[-1]
-    np.testing.assert_allclose(
-        last.particles["velocity"][0], [0.0, 0.0, -GRAVITY / 2000.0], rtol=1e-12, atol=1e-15
-    )
-    assert abs(last.totals["energy_error"]) < 2.0 * (0.5 * 2000.0 * 1e-5) ** 2
-
-
 def test_cundall_damping_reduces_the_amplitude_of_an_oscillator_in_each_half_period(taichi_f64):
     """A particle on an elastic floor, displaced from rest by A, 0.2 % of its overlap, below the equilibrium.
 
@@ -69,14 +59,6 @@ def test_cundall_damping_reduces_the_amplitude_of_an_oscillator_in_each_half_per
     np.testing.assert_allclose(heights, expected, atol=2e-3 * amplitude)
     lost = 0.5 * stiffness * (expected[0] ** 2 - expected[4] ** 2)
     assert snapshots[-1].totals["damping_dissipation"] == pytest.approx(lost, rel=4e-3)
-
-
-def test_cundall_damping_slows_free_fall(taichi_f64):
-    """A particle that falls from rest accelerates with (1 - a) g."""
-    last = run_and_sample(damped(particle_group([0.0] * 3, DIAMETER), 0.05, cundall=0.3), 0.05)[-1]
-    assert last.particles["velocity"][0, 2] == pytest.approx(-0.7 * GRAVITY * last.time, rel=1e-3)
-    lost = 0.3 * MASS * GRAVITY * 0.35 * GRAVITY * last.time**2
-    assert last.totals["damping_dissipation"] == pytest.approx(lost, rel=1e-3)
 
 
 def test_damping_of_a_stage_ends_with_it_and_the_energy_budget_closes(taichi_f64):

@@ -1,9 +1,9 @@
-"""Gravity that turns, follows a table or jumps in a stage: free flight, and a body that begins to slide."""
+"""Free flight under gravity that turns, follows a table or jumps in a stage."""
 
 import numpy as np
 import pytest
 from clumps import clump_group
-from scene_builders import build_scene, particle_group, plane, run_and_sample
+from scene_builders import build_scene, particle_group, run_and_sample
 
 RATE = 100.0
 STEP = 2e-5
@@ -76,32 +76,3 @@ def test_free_flight_under_changing_gravity():
         assert totals["kinetic_energy"] == pytest.approx(dropped + totals["gravity_work"], rel=1e-6)
         assert abs(totals["energy_error"]) < 1e-6  # of the rotation of the clump
         assert totals["free_wall_energy"] == pytest.approx(totals["free_wall_work"], rel=1e-6, abs=1e-12)
-
-
-FRICTION = 0.3
-
-
-def test_a_body_slides_where_the_tangent_of_the_tilt_is_the_friction():
-    """Three spheres in one body cannot roll. It rests up to the angle c with tan(c) = mu; then, at a = w t,
-
-        dv/dt = g (sin a - mu cos a),     v = (g/w) [cos c - cos a - mu (sin a - sin c)]
-
-    until the end. The tilt takes 0.3 s, in which contacts of some kHz follow at rest.
-    """
-    rate = np.deg2rad(100.0)
-    corners = 0.004 * np.array([[np.cos(a), np.sin(a), 0.0] for a in np.deg2rad([90.0, 210.0, 330.0])])
-    tilt = {"kind": "rotation", "axis": [0, 1, 0], "angular_velocity": -rate}
-    scene = build_scene(
-        {"body": clump_group([[0, 0, 0.002]], corners)}, {"floor": plane([0, 0, 0], [0, 0, 1])},
-        gravity={"vector": [0, 0, -STRENGTH], "motion": tilt}, run={"duration": 0.3, "velocity_max": 0.5},
-        pair={"friction": FRICTION, "restitution": 0.1}, output={"interval": 0.01, "energy_budget": True},
-    )  # fmt: skip
-    snapshots = run_and_sample(scene, 0.01, threads=2)
-    velocity = np.array([each.particles["velocity"][:, 0].mean() for each in snapshots])
-    angle = rate * np.array([each.time for each in snapshots])
-    slip = np.arctan(FRICTION)
-    assert np.abs(velocity[angle < slip]).max() < 1e-3
-    end = angle[-1]
-    expected = np.cos(slip) - np.cos(end) - FRICTION * (np.sin(end) - np.sin(slip))
-    assert velocity[-1] == pytest.approx(STRENGTH / rate * expected, rel=2e-3)
-    assert abs(snapshots[-1].totals["energy_error"]) < 1e-3

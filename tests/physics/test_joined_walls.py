@@ -8,9 +8,8 @@ plane, because all surfaces lie in the plane z = 0.
 import numpy as np
 import pytest
 from geometry.meshes import write
-from scene_builders import build_scene, column, few_spheres, particle_group, plane, run_and_sample
+from scene_builders import build_scene, column, few_spheres, particle_group, plane, run_and_sample, run_to_end
 
-import granflow as gf
 from granflow.plan.build import plan_for
 
 RADIUS = 2e-3
@@ -106,7 +105,7 @@ def seams(folder):
     walls["below"] = rectangle([-0.03, -0.03, 0], [0.02, 0, 0], [0, 0.03, 0])
     walls["above"] = rectangle([-0.012, 0, 0], [0.03, 0, 0], [0, -0.03, 0])
     positions += on_seam(-0.0118, -0.024)
-    # A plug in a floor with a hole; a disc beside a mesh and on a flange of a tube with the same outer
+    # A plug in a floor with a hole; a disc next to a mesh and on a flange of a tube with the same outer
     # radius.
     walls["floor"] = disc([0.05, -0.01, 0], 0.02, 0.01)
     walls["plug"] = disc([0.05, -0.01, 0], 0.01)
@@ -118,7 +117,7 @@ def seams(folder):
     positions += on_seam(-0.05, 0.014)
     write(folder / "frame.stl", *flat([-0.02, 0.005], [0.0, 0.035]))
     walls["frame"] = mesh_wall("frame.stl")
-    walls["beside"] = rectangle([0.0, 0.005, 0], [0.02, 0, 0], [0, 0.03, 0])
+    walls["adjacent"] = rectangle([0.0, 0.005, 0], [0.02, 0, 0], [0, 0.03, 0])
     positions += on_seam(0.0, 0.011)
     # A mesh across the periodic faces.
     write(folder / "across.stl", *flat([-0.1, 0.05], [0.1, 0.09]))
@@ -203,8 +202,7 @@ def test_walls_that_touch_act_as_one_surface_and_corners_as_two(taichi_f64, fold
 
 
 def test_coincident_walls_are_reported(folder):
-    """Walls with the same surface: planes through different points, rectangles from different corners, equal
-    meshes."""
+    """Planes through different points, rectangles from different corners, and equal meshes."""
     write(folder / "plate.stl", *flat([0, 0], [0.01, 0.01]))
     walls = {
         "a": plane([0, 0, 0], [0, 0, 1]),
@@ -212,17 +210,12 @@ def test_coincident_walls_are_reported(folder):
         "upper": plane([0, 0, 0.01], [0, 0, 1]),
         "c": rectangle([0, 0, 0.05], [0.01, 0, 0], [0, 0.02, 0]),
         "d": rectangle([0.01, 0.02, 0.05], [0, -0.02, 0], [-0.01, 0, 0]),
-        "beside": rectangle([0.01, 0, 0.05], [0.01, 0, 0], [0, 0.02, 0]),
+        "adjacent": rectangle([0.01, 0, 0.05], [0.01, 0, 0], [0, 0.02, 0]),
         "e": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
         "f": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
     }
-    found = [
-        each.warning
-        for each in plan_for(build_scene({"b": particle_group([0, 0, 0.3])}, walls=walls)).forecasts
-    ]
-    same = [
-        (text.split()[0], text.split(":")[0].split()[-1]) for text in found if text and "same surface" in text
-    ]
+    warnings = plan_for(build_scene({"b": particle_group([0, 0, 0.3])}, walls=walls)).warnings
+    same = [(t.split()[0], t.split(":")[0].split()[-1]) for t in warnings if "same surface" in t]
     assert same == [("walls.b", "walls.a"), ("walls.d", "walls.c"), ("walls.f", "walls.e")]
 
 
@@ -238,8 +231,6 @@ def test_rain_avoids_walls(taichi_f64):
         "velocity": [0, 0, -0.1],
     }
     scene = few_spheres({"drops": group}, {"bowl": plane([0, 0, 0], [0, 0, 1])}, run={"duration": 0.01})
-    simulation = gf.Simulation(scene)
-    simulation.run()
-    particles = simulation.snapshot().particles
-    drops = particles["group"] == 0
-    assert drops.sum() > 10 and particles["position"][drops, 2].min() > 0.9 * RADIUS
+    last, _ = run_to_end(scene)
+    drops = last.particles["group"] == 0
+    assert drops.sum() > 10 and last.particles["position"][drops, 2].min() > 0.9 * RADIUS

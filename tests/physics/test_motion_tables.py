@@ -8,7 +8,7 @@ from scene_builders import few_spheres, particle_group, plane, run_and_sample
 from granflow.errors import SceneError
 from granflow.load import load_scene
 from granflow.plan.build import plan_for
-from granflow.plan.explain import explain
+from granflow.schema.document import yaml_text
 from granflow.simulation import Simulation
 
 GRAVITY, RADIUS = 9.81, 0.005
@@ -17,14 +17,12 @@ OVERLAP = 1e-5
 m/s2)."""
 
 
-def scene_on(motion, **parts):
+def scene_on(motion):
     """A sphere at rest on a floor that follows a table."""
     walls = {"floor": plane([0, 0, 0], [0, 0, 1], motion={"kind": "table", **motion})}
     run = {"duration": 0.05, "velocity_max": 0.5}
     ball = particle_group([0, 0, RADIUS - 1e-7])
-    return few_spheres(
-        {"ball": ball}, walls, {"restitution": 0.0}, gravity=[0.0, 0.0, -GRAVITY], run=run, **parts
-    )
+    return few_spheres({"ball": ball}, walls, {"restitution": 0.0}, gravity=[0.0, 0.0, -GRAVITY], run=run)
 
 
 def test_a_sphere_follows_a_lifted_floor(taichi_f64):
@@ -48,16 +46,11 @@ def test_a_sphere_follows_a_lifted_floor(taichi_f64):
 FILE = "# recorded\ntime [ms], displacement [mm]\n0, 0\n10, 0.1\n20, 0.4\n50, 0.1\n"
 
 
-def saved_scene(folder, text=FILE, **motion):
+def saved_scene(folder, text=FILE):
     """File of a scene whose floor follows lift.csv."""
     (folder / "lift.csv").write_text(text)
-    scene = scene_on({"direction": [0, 0, 1], "times": [0, 1], "displacements": [0, 0]})
-    given = scene.to_dict()
-    given["walls"]["floor"]["motion"] = [
-        {"kind": "table", "file": "lift.csv"} | (motion or {"direction": [0, 0, 1]})
-    ]
-    from granflow.schema.document import yaml_text
-
+    given = scene_on({"direction": [0, 0, 1], "times": [0, 1], "displacements": [0, 0]}).to_dict()
+    given["walls"]["floor"]["motion"] = [{"kind": "table", "file": "lift.csv", "direction": [0, 0, 1]}]
     path = folder / "scene.yaml"
     path.write_text(yaml_text(given))
     return path
@@ -68,8 +61,6 @@ def test_a_csv_file_is_read_with_its_units(tmp_path):
     (motion,) = scene.walls["floor"].motion
     assert motion.times == pytest.approx((0, 0.01, 0.02, 0.05))
     assert motion.displacements == pytest.approx((0, 1e-4, 4e-4, 1e-4))
-    text = explain(plan_for(scene))
-    assert "4 rows from 0 to 0.05 s" in text
     assert ("walls.floor.motion.0.file", "lift.csv") in list(scene.input_names())
     again = tmp_path / "again"
     again.mkdir()
@@ -80,19 +71,9 @@ def test_a_csv_file_is_read_with_its_units(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (
-            None,
-            r"scene.yaml:\d+:\d+: walls.floor.motion.file is lift.csv, which cannot be used: there is no such file",
-        ),
         ("", "lift.csv: the table has no rows"),
-        (
-            "time, displacment\n0, 1\n1, 2\n",
-            "lift.csv:1: the columns are .*mean displacement instead of displacment",
-        ),
-        (
-            "time, velocity, angle\n0, 1, 2\n",
-            "lift.csv:1: the columns are time, velocity, angle, but time and exactly",
-        ),
+        ("time, displacment\n0, 1\n1, 2\n", "lift.csv:1: the columns are .*mean displacement instead of"),
+        ("time, velocity, angle\n0, 1, 2\n", "lift.csv:1: the columns are time, velocity, angle, but"),
         (
             "time [m], velocity\n0, 1\n",
             r"lift.csv:1: the unit of time \[m\] is invalid: m is a unit of length",
@@ -100,23 +81,18 @@ def test_a_csv_file_is_read_with_its_units(tmp_path):
         ("time, velocity\n0, 1\n\n2\n", "lift.csv:4: the row must have 2 values"),
         ("time, velocity\n0, 1\n1, x\n", "lift.csv:3: a finite number is expected"),
         ("time, velocity\n0, 1\n2, 1\n2, 3\n", "lift.csv:4: times must ascend"),
-        ("time, velocity\n-1, 1\n2, 1\n", "lift.csv:2: times must ascend from row to row, from 0"),
         ("time, velocity\n0, 1\n", "lift.csv: the table must have at least two rows"),
     ],
 )
 def test_invalid_files_are_refused_with_their_line(tmp_path, text, problem):
-    path = saved_scene(tmp_path, text or "")
-    if text is None:
-        (tmp_path / "lift.csv").unlink()
+    path = saved_scene(tmp_path, text)
     with pytest.raises(SceneError, match=problem):
         load_scene(path)
 
 
 def test_rows_closer_than_the_time_step_are_refused():
     motion = {"direction": [0, 0, 1], "times": [0, 1e-7, 1e-3], "velocities": [0, 1e-3, 0]}
-    with pytest.raises(
-        SceneError, match=r"walls.floor.motion.0 has rows that are 1e-07 s apart, less than the time"
-    ):
+    with pytest.raises(SceneError, match="rows that are 1e-07 s apart, less than the time"):
         plan_for(scene_on(motion))
 
 

@@ -1,5 +1,4 @@
-"""Oblique impacts against closed forms for sliding contacts, an ordinary differential equation, and
-measurements.
+"""Oblique impacts against closed forms for sliding contacts and measurements.
 
 Chung & Ooi 2011, Granular Matter 13:643, tests 4, 5, 6 and 8; Kharaz, Gorham & Salman 2001, Powder Technol.
 120:281.
@@ -17,7 +16,7 @@ from granflow.studies.paper.oblique import oblique_figure
 @pytest.fixture(scope="module")
 def run(taichi_f64):
     """The results of all sweeps by name."""
-    return oblique.oblique_run(angles=24, ratios=15)
+    return oblique.oblique_run(angles=24, ratios=9)
 
 
 def mean_overlap(setup, speed):
@@ -48,78 +47,16 @@ def mean_overlap(setup, speed):
 def test_sliding_contacts_follow_coulombs_law(run, name):
     """v_n' = e v_n, v_t' = v_t - mu (1 + e) v_n, R w' = R w + 2.5 mu (1 + e) v_n (1 - overlap/(2 R)), within
     0.1 %."""
-    sweep = run[name]
-    setup = sweep.setup
-    before = sweep.before
-    after = sweep.after
+    setup, before, after = run[name].setup, run[name].before, run[name].after
     speed = -before.normal
-    slip = before.along - setup.radius * before.spin
     impulse = setup.friction * (1.0 + setup.restitution) * speed
-    sliding = slip > 1.05 * 3.5 * impulse
+    sliding = before.along - setup.radius * before.spin > 1.05 * 3.5 * impulse
     assert sliding.sum() >= 3
     arm = 1.0 - 0.5 * np.array([mean_overlap(setup, each) for each in speed]) / setup.radius
     spin_change = setup.radius * (after.spin - before.spin)
     np.testing.assert_allclose(after.normal[sliding], (setup.restitution * speed)[sliding], rtol=1e-3)
     np.testing.assert_allclose((before.along - after.along)[sliding], impulse[sliding], rtol=1e-3)
     np.testing.assert_allclose(spin_change[sliding], (2.5 * impulse * arm)[sliding], rtol=1e-3)
-    # textbooks use the radius as the lever arm
-    np.testing.assert_allclose(spin_change[sliding], 2.5 * impulse[sliding], rtol=1e-2)
-
-
-def no_slip_spring(setup, ratio, damping=0.0, steps=20000):
-    """Slip velocity after the impact over mu v_n, for the ratio `ratio` before it; one contact in small time
-    steps.
-
-    Normal force: Hertz with Tsuji's damping. Tangential force: Mindlin's spring dF_t = k_t ds with
-    k_t / (k sqrt(d)) = 6 G*/E*, reduced in proportion to the contact radius during unloading and limited to
-    mu F. The slip velocity changes by 3.5 F_t / M. Units: M, k and the normal impact velocity are 1.
-    """
-    nu = setup.sphere["poisson_ratio"]
-    friction = setup.friction
-    stiffness = 6.0 * (1.0 - nu**2) / (2.0 * (1.0 + nu) * (2.0 - nu))
-    step = 2.9433 * 1.25**0.4 / steps
-    overlap = 0.0
-    rate = 1.0
-    slip = ratio * friction
-    tangential = 0.0
-    before = 0.0
-    while True:
-        overlap += rate * step
-        if overlap <= 0.0:
-            return slip / friction
-        force = overlap**1.5 + damping * overlap**0.25 * rate
-        if force <= 0.0:
-            return slip / friction
-        rate -= force * step
-        tangential *= min(np.sqrt(overlap / before), 1.0) if before else 1.0
-        tangential += stiffness * np.sqrt(overlap) * slip * step
-        tangential = float(np.clip(tangential, -friction * force, friction * force))
-        slip -= 3.5 * tangential * step
-        before = overlap
-
-
-def test_contacts_with_stick_and_slip_follow_mindlins_spring(run):
-    """Test 5 where the contact also sticks; the lever arm differs from the radius by 0.25 %."""
-    sweep = run["test5_zhou"]
-    part = slice(0, 5)
-    found = oblique.plotted_quantities(sweep, "test5")["slip"][part]
-    np.testing.assert_allclose(found, [no_slip_spring(oblique.TEST_5, x) for x in sweep.x[part]], atol=0.04)
-
-
-def test_sticking_contacts_with_damping_follow_mindlins_spring(run):
-    """Test 6 with the hertz model: damping sqrt(5) zeta after Antypov & Elliott 2011 for e = 0.5."""
-    sweep = run["test6_hertz"]
-    e = oblique.TEST_6.restitution
-
-    def rebound(zeta):
-        """Schwager & Poeschel 2007: the contact ends when the force of spring and dashpot is zero."""
-        root = np.sqrt(1.0 - zeta**2)
-        return np.exp(-zeta / root * (np.pi - np.arctan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)))
-
-    damping = np.sqrt(5.0) * brentq(lambda zeta: rebound(zeta) - e, 1e-6, 0.999)
-    ratio = 3.5 * (1.0 + e) / sweep.x
-    expected = [-no_slip_spring(oblique.TEST_6, each, damping) / each for each in ratio]
-    np.testing.assert_allclose(oblique.plotted_quantities(sweep, "test6")["slip"], expected, atol=0.02)
 
 
 @pytest.mark.parametrize("law", ["hertz", "zhou"])
@@ -149,15 +86,6 @@ def test_rebounds_agree_with_measurements_and_published_curves(run, law, data, q
         assert np.all((found - published)[angle < 5.0] > 0.05)
 
 
-def test_no_impact_increases_the_energy(run):
-    for name, sweep in run.items():
-        before, after = (
-            each.normal**2 + each.along**2 + 0.4 * (sweep.setup.radius * each.spin) ** 2
-            for each in (sweep.before, sweep.after)
-        )
-        assert np.all(after < before * (1.0 + 1e-9)), name
-
-
 def test_large_heavy_sphere_acts_as_a_rigid_plate(run):
     """Test 8 reproduces the curve of test 6."""
     plate, sphere = (
@@ -173,9 +101,6 @@ def test_deviations_of_the_figure_are_within_their_targets(run, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.studies.figures import draw_to
 
-    draw_to(
-        tmp_path / "figure.png",
-        lambda figure: figure_data.draw(figure, figure_data.columns),
-        figure_data.height,
-    )
-    assert (tmp_path / "figure.png").stat().st_size > 10000
+    path = tmp_path / "figure.png"
+    draw_to(path, lambda figure: figure_data.draw(figure, figure_data.columns), figure_data.height)
+    assert path.stat().st_size > 10000

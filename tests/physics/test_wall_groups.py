@@ -2,23 +2,14 @@
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, column, particle_group, run_and_sample
+from scene_builders import build_scene, column, particle_group, plane, run_and_sample
 
-from granflow.errors import SceneError
-from granflow.load import Scene
 from granflow.simulation import Simulation
 
 GRAVITY = 9.81
 DIAMETER = 0.004
 HEIGHT = 0.02
 DURATION = 0.07
-SCREEN = {
-    "shape": "plane",
-    "point": [0, 0, 0],
-    "normal": [0, 0, 1],
-    "material": "glass",
-    "groups": ["coarse"],
-}
 
 
 def screen_scene():
@@ -27,9 +18,8 @@ def screen_scene():
         name: particle_group([[x, 0.0, HEIGHT]], DIAMETER) for name, x in (("coarse", 0.0), ("fine", 0.01))
     }
     return build_scene(
-        groups, {"screen": SCREEN}, gravity=[0, 0, -GRAVITY],
-        pair={"restitution": 1.0}, normal="hertz", run={"duration": 2 * DURATION, "time_step": 1e-5, "velocity_max": 1.5},
-        output={"interval": DURATION},
+        groups, {"screen": plane([0, 0, 0], [0, 0, 1], groups=["coarse"])}, {"restitution": 1.0}, normal="hertz",
+        gravity=[0, 0, -GRAVITY], run={"duration": 2 * DURATION, "time_step": 1e-5, "velocity_max": 1.5},
     )  # fmt: skip
 
 
@@ -48,16 +38,9 @@ def test_a_screen_holds_one_group_and_lets_the_other_pass(taichi_f64):
     assert coarse == pytest.approx(returned, abs=1e-4 * GRAVITY * 2 * fall)
 
 
-def test_a_particle_that_changes_its_group_meets_the_screen(taichi_f64, tmp_path):
+def test_a_particle_that_changes_its_group_meets_the_screen(taichi_f64):
     simulation = Simulation(screen_scene(), out=None)
     simulation.run(until=0.5 * DURATION)
     simulation.particles.group[:] = "coarse"
     simulation.run()
     assert np.asarray(simulation.particles.position)[1, 2] > 0.0
-
-
-def test_groups_of_a_wall_exist():
-    scene = screen_scene().to_dict()
-    scene["walls"]["screen"]["groups"] = ["corse"]
-    with pytest.raises(SceneError, match=r"walls\.screen\.groups\.0.*corse.*coarse"):
-        Scene.from_dict(scene)

@@ -39,6 +39,6 @@ def error(motion, steps, periods=2):
 @pytest.mark.parametrize("motion", list(MOTIONS))
 def test_wall_work_is_of_second_order(taichi_f64, motion):
     """Also in the middle of a cycle, and if the particle overlaps the wall at the start."""
-    coarse, fine = error(motion, 128), error(motion, 512)
+    coarse, fine = error(motion, 64), error(motion, 256)
     assert np.log2(coarse / fine) > 2 * 1.8
     assert fine < 1e-3
