@@ -167,22 +167,10 @@ def test_rotations_of_a_mesh_are_a_chain(tmp_path, square, moves, corner):
     np.testing.assert_allclose(place, corner([0.01, 0.002, 0.003]), atol=1e-9)
 
 
-def test_only_translations_across_an_axis_move_it(tmp_path, square):
-    """A rotation is given before a translation: in the script its axis is at rest."""
-    for velocity, is_told in (("0 0 1", False), ("1 0 0", True)):
-        walls = f"fix cad all {square}\n{MOVED}{TURN}fix m2 all move/mesh mesh cad linear {velocity}\nrun 9"
-        found, _ = imported(tmp_path, liggghts(end=walls))
-        assert ("the axis moves with the translation" in str(remarks(found, "fix m1"))) is is_told
-
-
 def test_belt(tmp_path, square):
-    """A face that is inclined against the velocity moves with 0.4 of hypot(0.4, 0.3) m/s."""
-    found, scene = imported(
-        tmp_path, liggghts(end=f"fix cad all {square} surface_vel 0.4 0 0.3\n{MOVED}run 9")
-    )
+    _, scene = imported(tmp_path, liggghts(end=f"fix cad all {square} surface_vel 0.4 0 0.3\n{MOVED}run 9"))
     motion = scene["walls"]["cad"]["motion"]
     assert motion == {"kind": "surface_velocity", "velocity": ["400 mm/s", 0, "300 mm/s"]}
-    assert "down to 0.8 of 0.5 m/s" in str(remarks(found, "surface_vel"))
 
 
 def test_servo(tmp_path, square):
@@ -363,29 +351,6 @@ def test_region_that_swings_is_a_table(tmp_path):
     rows = np.loadtxt(found.files[motion["file"]].decode().splitlines(), skiprows=1, delimiter=",")
     assert motion["direction"] == [0, 0, 1]
     np.testing.assert_allclose(rows[:, 1], 1e-3 * np.sin(200 * pi * rows[:, 0]), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("region", "part", "sentence"),
-    [
-        ("cylinder z 0.05 0.05 0.05 0 INF", "boundary", "not periodic along x: region r is around it"),
-        # In LAMMPS the surface has the velocity of a rotation by the axis as it is given.
-        (
-            "block 0 0.1 0 0.1 0 0.2 rotate v_t 0.05 0.05 0.1 0 3 4",
-            "region r",
-            "5 times as fast as they turn",
-        ),
-        ("block 0 0.1 0 0.1 0 0.2 move NULL NULL v_c", "region r", "c_c is a result of the simulation"),
-    ],
-)
-def test_remarks_on_regions(tmp_path, region, part, sentence):
-    walls = (
-        f"variable t equal step*dt\ncompute c all ke\nvariable c equal c_c\nregion r {region}\n"
-        f"fix w all wall/gran/region {SPRING} region r\nrun 100"
-    )
-    found, scene = imported(tmp_path, lammps(boundary="p p f", end=walls))
-    assert sentence in str(remarks(found, part))
-    assert "periodic" not in scene["domain"]
 
 
 # Boxes that deform

@@ -195,7 +195,9 @@ def test_mixed_coefficients_of_granular(tmp_path):
 
 def test_linear_spring_on_a_chute(tmp_path):
     """gran/hooke: m* x'' + m* g x' + k x = 0 ends at zero overlap: e = exp(-g t / 2), t = pi / sqrt(k / m* - g2 / 4)."""
-    _, scene = imported(tmp_path, lammps(gravity="10 chute 30"))
+    _, scene = imported(
+        tmp_path, lammps(boundary="p p f", gravity="10 chute 30", atoms=POUR.replace("source", "box"))
+    )
     assert scene["gravity"] == pytest.approx([5, 0, -10 * sqrt(0.75)])
     frequency = sqrt(1000 / (MASS / 2) - 300**2 / 4)
     assert scene["pairs"]["type1-type1"]["restitution"] == pytest.approx(exp(-150 * pi / frequency), abs=1e-5)

@@ -22,6 +22,11 @@ from granflow.errors import GranflowError
 GRANULAR = "pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.3 tangential mindlin NULL 1 0"
 ROLLING = "fix m6 all property/global coefficientRollingFriction peratomtypepair 2 0.1 0.1 0.1 0.1"
 VISCOUS = "fix m7 all property/global coefficientRollingViscousDamping peratomtypepair 2 0.1 0.1 0.1 0.1"
+REGION = (
+    "variable t equal step*dt\ncompute c all ke\nvariable c equal c_c\nregion r {}\n"
+    "fix w all wall/gran/region hooke/history 1000 NULL 300 NULL 0.5 1 region r\nrun 100"
+)
+PLATE = "fix cad all mesh/surface file square.stl type 1"
 MESH = "fix cad all mesh/surface/stress/servo file square.stl type 1 com 0 0 0 ctrlPV force axis 0 0 1 vel_max 0.2"
 MESHES = f"fix w all {WALL} mesh n_meshes 1 meshes cad"
 TURN = "fix m1 all move/mesh mesh cad rotate origin 0 0 0 axis 0 0 1 period 0.04"
@@ -61,7 +66,7 @@ def with_atoms(**parts):
         (with_atoms(boundary="p p p", end="fix s all deform 1 x volume\nrun 9"), "fix s", "not possible", "x volume"),
         (with_atoms(boundary="p p p", end="fix s all press/berendsen iso 1 1 1\nrun 9"), "fix s", "not possible", "pressure"),
         (with_atoms(end="fix s all deform 1 x erate 1\nrun 9"), "fix s", "not possible", "without periodic boundaries"),
-        (lammps(atoms="lattice sq 0.01\nregion a block 0 1 0 1 0 1 units box\ncreate_atoms 1 region a"), "lattice sq", "not possible", ""),
+        (lammps(atoms="lattice sq 0.01\ncreate_atoms 1 region source\nset group all diameter 1"), "lattice sq", "not possible", ""),
         (liggghts(model=f"{HERTZ} ktToKnUser on"), "pair_style", "not possible", "ktToKnUser"),
         (liggghts(properties=f"{ROLLING}\n{VISCOUS}", model=f"{HERTZ} rolling_friction cdt", wall=f"{HERTZ} rolling_friction epsd2"),
          "fix floor", "approximated", "the rolling law is cdt for all contacts, here epsd2"),
@@ -85,21 +90,31 @@ def with_atoms(**parts):
         (liggghts(end="fix h all wonder 1\nrun 10"), "wonder", "not possible", "fix wonder is not known"),
         (liggghts(end="marvel 1\nrun 10"), "marvel", "not possible", "the command marvel is not known"),
         (liggghts(end="variable n equal atoms\nfix g all gravity v_n vector 0 0 1\nrun 10"), "v_n", "not possible", "follows"),
+        (liggghts(properties="fix x all property/global thermalExpansion peratomtype 1 1"), "thermalE", "not possible", "thermal"),
         (liggghts(end="compute c all rainbow\nrun 10"), "rainbow", "not possible", "compute rainbow"),
         (liggghts(end="shell python x\nrun 10"), "shell", "not possible", "shell runs another program"),
         (liggghts(end="run 10\nclear\nunits si"), "clear", "not possible", "a second simulation"),
         (liggghts(end="fix w all wall/grann x\nrun 10"), "grann", "not possible", "nearest: wall/gran"),
         (liggghts(properties=HEATED, insertion="fix x all wonder").replace("fix floor", "#"), "wonder", "not possible", ""),
         (liggghts(properties=HEATED, end="run 1\nset atom 3 property/atom Temp 9\nrun 1"), "atom 3", "not possible", "values for"),
+        (liggghts(properties=HEATED, end="group g type 1\nrun 1\nset group g property/atom Temp 9\nrun 1"), "set group", "not possible", ""),
         (liggghts(properties=HEATED, end="run 1\nset type 1 property/atom charge 9\nrun 1"), "charge", "not possible", "nearest"),
         (liggghts(properties=HEATED, end="set group all property/atom Temp 9\nrun 1"), "Temp 9", "not needed", "no particles yet"),
         (liggghts(properties=HEATED, end="run 1\nset group all property/atom Temp 9"), "Temp 9", "not needed", "no run follows"),
         (liggghts(properties=HEATED, end="fix s all property/atom heatSource scalar yes no no 0.5\nrun 1"),
          "heatSource", "translated", "particles.NAME.heat_source"),
+        (lammps(boundary="p p f", end=REGION.format("cylinder z 0.05 0.05 0.05 0 INF")), "boundary", "translated", "not periodic along x: region r is around"),
+        # In LAMMPS the surface has the velocity of a rotation by the axis as it is given.
+        (lammps(end=REGION.format("block 0 0.1 0 0.1 0 0.2 rotate v_t 0.05 0.05 0.1 0 3 4")), "region r", "approximated", "5 times as fast"),
+        (lammps(end=REGION.format("block 0 0.1 0 0.1 0 0.2 move NULL NULL v_c")), "region r", "not possible", "c_c is a result"),
+        # A rotation is given before a translation: in the script its axis is at rest.
+        (liggghts(end=f"{PLATE}\n{MESHES}\n{TURN}\nfix m2 all move/mesh mesh cad linear 1 0 0\nrun 9"), "fix m1", "approximated", "moves with the translation"),
+        (liggghts(end=f"{PLATE}\n{MESHES}\n{TURN}\nfix m2 all move/mesh mesh cad linear 0 0 1\nrun 9"), "fix m1", "translated", ""),
+        (liggghts(end=f"{PLATE} surface_vel 0.4 0 0.3\n{MESHES}\nrun 9"), "surface_vel", "approximated", "down to 0.8 of 0.5 m/s"),
         (liggghts(end=f"{MESH} target_val 1\n{MESHES}\nrun 9\nvariable f equal step\nfix_modify cad servo/target_val v_f\nrun 9"),
          "fix_modify", "not possible", "servo/target_val v_f of a servo"),
         (liggghts(end=f"{MESH} target_val 1\nrun 9\n{MESHES}\nrun 9"), "fix w", "approximated", "cad appears at 9e-05 s"),
-        (liggghts(end=f"{MESH.replace('/stress/servo', '').split(' com')[0]}\n{MESHES}\n{TURN}\n{TURN.replace('m1', 'm2').replace('0 0 1', '1 0 0')}\nrun 9"),
+        (liggghts(end=f"{PLATE}\n{MESHES}\n{TURN}\n{TURN.replace('m1', 'm2').replace('0 0 1', '1 0 0')}\nrun 9"),
          "fix m2", "not possible", "about an axis that is not parallel"),
     ],
 )  # fmt: skip

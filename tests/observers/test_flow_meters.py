@@ -62,13 +62,6 @@ def test_crossings_are_counted_by_their_direction_within_the_radius(radius, samp
     assert measured(down(radius), *samples) == expected
 
 
-def test_mass_flow_is_the_difference_between_samples():
-    meter = down()
-    measured(meter, {0: (0, 0, 2), 2: (0, 0, 2)}, {0: (0, 0, 0), 2: (0, 0, 0)})
-    assert meter.total.mass_flow() == 5.0
-    assert meter.total.result()["flow_mass"] == 5.0
-
-
 def test_steady_flow_ignores_start_end_and_other_stages():
     filling = [(float(t), "fill", 0.0) for t in range(3)]
     times = np.arange(2.1, 8.0, 0.1)
@@ -76,15 +69,9 @@ def test_steady_flow_ignores_start_end_and_other_stages():
     flowing = [(float(t), "discharge", float(m)) for t, m in zip(times, mass, strict=True)]
     resting = [(9.0, "rest", 10.0), (10.0, "rest", 10.0)]
     assert steady_flow(filling + flowing + resting) == pytest.approx(4.0)
-
-
-@pytest.mark.parametrize(("history", "flow"), [
-    ([], 0.0), ([(0.0, "run", 0.0)], 0.0), ([(0.0, "run", 0.0), (1.0, "run", 0.0)], 0.0),
-    ([(0.0, "run", 0.0), (1.0, "run", -1.0), (2.0, "run", -2.0)], -1.0),
-    ([(0.0, "fill", 0.0), (1.0, "open", 1.0)], 1.0),
-])  # fmt: skip
-def test_steady_flow_of_few_samples_reversed_and_between_stages(history, flow):
-    assert steady_flow(history) == pytest.approx(flow)
+    assert steady_flow([]) == steady_flow([(0.0, "run", 0.0), (1.0, "run", 0.0)]) == 0.0
+    assert steady_flow([(float(t), "run", -float(t)) for t in range(3)]) == pytest.approx(-1.0)
+    assert steady_flow([(0.0, "fill", 0.0), (1.0, "open", 1.0)]) == pytest.approx(1.0), "between stages"
 
 
 def test_rectangle_counts_particles_within_its_sides():
@@ -94,7 +81,7 @@ def test_rectangle_counts_particles_within_its_sides():
     assert measured(meter, above, below) == (2.0**0 + 2.0**4, 2)
 
 
-def test_group_by_material_counts_each_material():
+def test_group_by_material_counts_each_material_also_after_a_resume():
     def update(meter, time, heights):
         ids = np.array(sorted(heights))
         arrays = {
@@ -103,25 +90,15 @@ def test_group_by_material_counts_each_material():
         }  # fmt: skip
         meter.update(snapshot_of(time=time, particles=arrays))
 
-    def meter():
-        plane = FlowMeter(point=(0, 0, 1), normal=(0, 0, -1), group_by="material")
-        return FlowCounter(plane, parts=("glass", "steel"))
-
-    uninterrupted = meter()
-    first = meter()
-    resumed = meter()
-    samples = ((0.0, {0: 2, 1: 2, 2: 2, 3: 2}), (1.0, {0: 0, 1: 2, 2: 0, 3: 0}), (2.0, {1: 0}))
-    for sample in samples:
-        update(uninterrupted, *sample)
-    for sample in samples[:2]:
-        update(first, *sample)
+    plane = FlowMeter(point=(0, 0, 1), normal=(0, 0, -1), group_by="material")
+    first, resumed = (FlowCounter(plane, parts=("glass", "steel")) for _ in range(2))
+    update(first, 0.0, {0: 2, 1: 2, 2: 2, 3: 2})
+    update(first, 1.0, {0: 0, 1: 2, 2: 0, 3: 0})
     resumed.load_state_dict(first.state_dict())
-    update(resumed, *samples[2])
-    np.testing.assert_equal(resumed.state_dict()["tallies"], uninterrupted.state_dict()["tallies"])
-    assert (uninterrupted.total.mass, uninterrupted.total.count) == (1.0 + 2.0 + 4.0 + 8.0, 4)
-    np.testing.assert_equal(list(uninterrupted.parts["glass"].readings().values()), [5.0, 2, 0.0, np.nan])
-    np.testing.assert_equal(list(uninterrupted.parts["steel"].readings().values()), [10.0, 2, 2.0, 1.5])
-    assert sum(tally.mass for tally in uninterrupted.parts.values()) == uninterrupted.total.mass
+    update(resumed, 2.0, {1: 0})
+    assert (resumed.total.mass, resumed.total.count) == (1.0 + 2.0 + 4.0 + 8.0, 4)
+    np.testing.assert_equal(list(resumed.parts["glass"].readings().values()), [5.0, 2, 0.0, np.nan])
+    np.testing.assert_equal(list(resumed.parts["steel"].readings().values()), [10.0, 2, 2.0, 1.5])
 
 
 def test_residence_time_ends_where_the_straight_path_reaches_the_plane():
@@ -167,27 +144,10 @@ def test_steady_flow_error_is_the_scatter_of_runs_with_independent_increments():
     assert expected <= np.sqrt(np.mean(np.square(errors))) <= 1.5 * expected
 
 
-def test_steady_flow_error_of_slow_fluctuations_is_larger_than_without_correlation():
-    """Increments that follow a slow wave: neighboring parts resemble each other, so that ten parts are fewer
-    than ten independent ones."""
-    rows = np.arange(400)
-    wave = 1e-3 + 3e-4 * np.sin(2.0 * np.pi * (rows - 100) / 200.0)
-    history = flowing(wave)
-    mass = np.array([m for _, _, m in history])
-    begin, end = np.interp([0.25 * mass[-1], 0.75 * mass[-1]], mass, 0.01 * np.arange(401))
-    parts = np.diff(np.interp(np.linspace(begin, end, 11), 0.01 * np.arange(401), mass)) / (
-        (end - begin) / 10
-    )
-    assert steady_flow_error(history) > 1.3 * parts.std(ddof=1) / np.sqrt(10)
-
-
-@pytest.mark.parametrize("rows", [20, 36])
-def test_steady_flow_error_is_nan_for_fewer_than_two_rows_per_part(rows):
-    assert np.isnan(steady_flow_error(flowing(np.full(rows, 1e-3))))
-    assert np.isnan(steady_flow_error(flowing(np.zeros(100))))
-
-
 def test_steady_flow_error_of_a_constant_flow_is_zero():
+    """It is NaN for fewer than two rows per part."""
+    assert np.isnan(steady_flow_error(flowing(np.full(36, 1e-3))))
+    assert np.isnan(steady_flow_error(flowing(np.zeros(100))))
     assert steady_flow_error(flowing(np.full(200, 1e-3))) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -224,7 +184,7 @@ def test_mean_flow_and_residence_time_of_the_last_stage():
     assert restored.result() == result and found.remark == ""
 
 
-@pytest.mark.parametrize(("count", "error"), [(4, "71 %"), (10, "45 %"), (19, "32 %"), (20, ""), (0, "")])
+@pytest.mark.parametrize(("count", "error"), [(4, "71 %"), (19, "32 %"), (20, ""), (0, "")])
 def test_a_steady_flow_of_few_passages_has_their_counting_error(count, error):
     """sqrt(2 / n) for equal particles, since the middle half of the mass has n / 2 passages."""
     found, _ = counted(count, 10.0)
@@ -233,25 +193,6 @@ def test_a_steady_flow_of_few_passages_has_their_counting_error(count, error):
     if error:
         assert result["mass_flow_error"] == pytest.approx(result["mass_flow"] * np.sqrt(2.0 / count))
         assert result["mass_flow_error_mean"] == pytest.approx(np.sqrt(count) / 10.0)
-
-
-def test_a_flow_of_one_passage_is_nan():
-    """Half of one particle passes within half an interval of the rows: a rate of 10 kg/s for 1 kg in 10 s."""
-    found, _ = counted(1, 10.0)
-    result = found.result()
-    assert np.isnan(result["mass_flow"]) and result["mass_flow_mean"] == pytest.approx(0.1)
-    assert found.remark.startswith("mass_flow is NaN: the last stage with flow has 1 passage,")
-
-
-def test_counting_error_is_the_scatter_of_independent_passages():
-    """Mean flows of Poisson numbers of particles, 12 on average, in 10 s."""
-    random = np.random.default_rng(3)
-    results = [
-        counted(n, 10.0, 0.5, seed=k)[0].result() for k, n in enumerate(random.poisson(12.0, 400)) if n
-    ]
-    flows = np.array([each["mass_flow_mean"] for each in results])
-    errors = np.array([each["mass_flow_error_mean"] for each in results])
-    assert np.sqrt((errors**2).mean()) == pytest.approx(flows.std(), rel=0.12)  # 3 / sqrt(2 * 400)
 
 
 def test_a_clump_passes_once_with_its_center_of_mass():

@@ -1,7 +1,6 @@
 """The time series contains the numbers of the snapshots."""
 
 import csv
-from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +10,11 @@ from observers.snapshots import particles_of, snapshot_of
 from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.meters import FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
-from granflow.observers.timeseries import TimeSeries
+from granflow.observers.timeseries import CollisionEnergies, TimeSeries
 from granflow.runs.result import Result
 from granflow.scene.blocks.metrics import Reading
-from granflow.scene.blocks.output import FlowMeter
+from granflow.scene.blocks.output import FlowMeter, unit_of
+from granflow.snapshot import Snapshot
 
 
 def rows_of(path):
@@ -22,27 +22,22 @@ def rows_of(path):
         return list(csv.reader(file))
 
 
-def test_header_has_units_and_only_the_given_quantities(tmp_path):
-    series = TimeSeries(tmp_path, 0.1)
-    assert series.wants == {"totals"}
-    series.observe(snapshot_of(totals={"kinetic_energy": 0.1, "particle_count": 3, "own_number": 1.5}))
-    header, row = rows_of(tmp_path / "timeseries.csv")
-    assert header == ["time [s]", "stage", "particle_count", "kinetic_energy [J]", "own_number"]
-    assert row == ["0.0", "run", "3", "0.1", "1.5"]
-
-
 def test_rows_are_exact_and_written_once(tmp_path):
     series = TimeSeries(tmp_path, 0.1)
+    assert series.wants == {"totals"}
     energies = np.random.default_rng(3).uniform(size=20)
     for step, energy in enumerate(energies):
+        totals = {"kinetic_energy": energy, "particle_count": 3, "own_number": 1.5}
         for _ in range(2):
-            series.observe(snapshot_of(time=step / 7, stage="a, b", totals={"kinetic_energy": energy}))
+            series.observe(snapshot_of(time=step / 7, stage="a, b", totals=totals))
         assert len(rows_of(series.path)) == step + 2, "each row is flushed"
     series.finish()
-    rows = rows_of(series.path)[1:]
-    assert [float(row[0]) for row in rows] == [step / 7 for step in range(20)]
-    assert [float(row[2]) for row in rows] == list(energies)
-    assert {row[1] for row in rows} == {"a, b"}
+    header, *rows = rows_of(series.path)
+    assert header == ["time [s]", "stage", "particle_count", "kinetic_energy [J]", "own_number"]
+    expected = [
+        [repr(step / 7), "a, b", "3", repr(float(energy)), "1.5"] for step, energy in enumerate(energies)
+    ]
+    assert rows == expected
 
 
 def test_totals_have_means_and_largest_values_of_each_stage(tmp_path):
@@ -71,26 +66,6 @@ def test_totals_have_means_and_largest_values_of_each_stage(tmp_path):
     assert (numbers["kinetic_energy"], numbers["kinetic_energy_largest.fill"]) == (8.0, 5.0)
 
 
-def test_flow_meters_have_columns(tmp_path):
-    series = TimeSeries(tmp_path, 0.1, {"outlet": FlowCounter(FlowMeter(point=(0, 0, 0), normal=(0, 0, -1)))})
-    assert series.wants == {"totals", "particles"}
-    for time, height in ((0.0, 1.0), (0.5, -1.0)):
-        particles = particles_of(
-            1, id=np.array([4]), position=np.array([[0, 0, height]]), mass=np.array([3.0]),
-            insertion_time=np.array([0.125]),
-        )  # fmt: skip
-        series.observe(snapshot_of(time=time, particles=particles, totals={}))
-    series.finish()
-    header, first, last = rows_of(series.path)
-    names = [
-        "flow_mass.outlet [kg]", "flow_count.outlet", "mass_flow.outlet [kg/s]", "residence_time.outlet [s]"
-    ]  # fmt: skip
-    assert header[2:] == names
-    assert first[2:] == ["0.0", "0", "0.0", "nan"]
-    assert last[2:] == ["3.0", "1", "6.0", "0.125"]
-    assert series.results_by_kind()["flow_meters"]["outlet"]["flow_count"] == 1
-
-
 def test_tables_are_read_back_exactly_and_without_an_incomplete_row(tmp_path):
     path = tmp_path / "new" / "a.csv"
     numbers = np.random.default_rng(1).normal(size=7)
@@ -100,9 +75,6 @@ def test_tables_are_read_back_exactly_and_without_an_incomplete_row(tmp_path):
     assert table.names == ("time [s]", "stage") and [line for line, _ in table.rows][-1] == 11
     assert table.complete().numbers(0).tolist() == numbers.tolist()
     assert set(table.complete().texts(1)) == {'fill, "slow"'}
-
-
-def test_header_and_separator_of_tables(tmp_path):
     table = table_in("# made by hand\n\na;b [mm];\n1,5;x;\n", tmp_path, (";", ","))
     assert (table.names, table.separator, table.heading_line) == (("a", "b [mm]"), ";", 3)
     assert table.numbers(0).tolist() == [1.5] and np.isnan(table.numbers(1)).all()
@@ -114,10 +86,9 @@ def measured_series(folder):
     metric = MetricMeter(
         lambda snapshot: Reading({"coordination_number": snapshot.time}), frozenset({"totals"})
     )
-    return TimeSeries(
-        folder, 0.1, {"out": FlowCounter(FlowMeter(point=(0, 0, 0), normal=(0, 0, -1)))}, wall_forces={"lid": WallForceMeter("lid", 2.0)},
-        metrics={"bed": metric},
-    )  # fmt: skip
+    meters = {"out": FlowCounter(FlowMeter(point=(0, 0, 0), normal=(0, 0, -1)))}
+    forces = {"lid": WallForceMeter("lid", 2.0)}
+    return TimeSeries(folder, 0.1, meters, wall_forces=forces, metrics={"bed": metric})
 
 
 def pushed(time, stage="run"):
@@ -146,13 +117,14 @@ def test_a_short_last_row_replaces_the_row_before_it(tmp_path):
     results = series.results_by_kind()
     window = end - 0.2
     force = (8.0 * window + 1.0) / window
-    assert results["wall_forces"]["lid"]["wall_force_z_last"] == pytest.approx(force, rel=1e-9)
-    assert results["wall_forces"]["lid"]["wall_pressure_last"] == pytest.approx(0.5 * force, rel=1e-9)
-    assert results["wall_forces"]["lid"]["wall_force_largest"] == pytest.approx(force, rel=1e-9)
-    assert results["wall_forces"]["lid"]["wall_force_z"] == pytest.approx((8.0 * end + 1.0) / end, rel=1e-9)
-    assert results["metrics"]["bed"]["coordination_number_mean"] == pytest.approx(
-        (0.1 + 0.2 + end) / 4, rel=1e-12
-    )
+    expected = {
+        "wall_force_z_last": force, "wall_pressure_last": 0.5 * force, "wall_force_largest": force,
+        "wall_force_z": (8.0 * end + 1.0) / end,
+    }  # fmt: skip
+    lid = results["wall_forces"]["lid"]
+    assert {name: lid[name] for name in expected} == pytest.approx(expected, rel=1e-9)
+    mean = results["metrics"]["bed"]["coordination_number_mean"]
+    assert mean == pytest.approx((0.1 + 0.2 + end) / 4, rel=1e-12)
     assert results["flow_meters"]["out"]["flow_count"] == 3
     header, *rows = rows_of(series.path)
     assert [float(row[0]) for row in rows] == [0.0, 0.1, 0.2, end]
@@ -171,25 +143,17 @@ def test_a_last_row_of_half_an_interval_or_of_another_stage_is_added(tmp_path, l
     assert [float(row[0]) for row in rows_of(series.path)[1:]] == [*TIMES, last]
 
 
-def test_a_resumed_series_restores_the_row_that_the_last_one_has_replaced(tmp_path):
-    """A checkpoint is written before the last row; the row at 0.3 s, which is not in the file any more, is in
-    it."""
-    whole = measured_series(tmp_path / "whole")
-    stopped = measured_series(tmp_path / "stopped")
-    for time in TIMES:
-        whole.observe(pushed(time))
-        stopped.observe(pushed(time))
-    saved = deepcopy(stopped.state_dict())
-    stopped.observe(pushed(0.300001))
-    stopped.finish()
-    resumed = measured_series(tmp_path / "stopped")
-    resumed.load_state_dict(saved)
-    assert resumed.rows_intact
-    resumed.truncate()
-    assert resumed.path.read_bytes() == whole.path.read_bytes()
-    for time in (0.4, 0.41):
-        whole.observe(pushed(time))
-        resumed.observe(pushed(time))
-    assert resumed.path.read_bytes() == whole.path.read_bytes()
-    assert resumed.results_by_kind() == whole.results_by_kind()
-    assert [float(row[0]) for row in rows_of(whole.path)[1:]] == [*TIMES, 0.41]
+def test_counts_of_collision_energies_continue_as_integers(tmp_path):
+    observer = CollisionEnergies(tmp_path, 1.0, np.array([1e-6, 1e-4]))
+    for time, count in ((0.0, 0), (1.0, 5)):
+        counts = {kind: np.full(3, count) for kind in ("particle", "wall")}
+        observer.observe(Snapshot(time, 0, "run", {}, None, {}, {}, {}, counts))
+    resumed = CollisionEnergies(tmp_path, 1.0, np.array([1e-6, 1e-4]))
+    resumed.load_state_dict(observer.state_dict())
+    counted = resumed.state_dict()["counted"].values()
+    assert [(each.dtype, each.tolist()) for each in counted] == [(np.int64, [5, 5, 5])] * 2
+
+
+def test_units_of_numbers():
+    names = ("kinetic_energy", "mass_flow.outlet", "flow_count.outlet", "timings.neighbor_list", "own_number")
+    assert [unit_of(name) for name in names] == ["J", "kg/s", "", "s", ""]
