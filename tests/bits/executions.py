@@ -114,8 +114,7 @@ def on_ranks(name, folder):
             run(name, folder / "ranks", scene, 1, communicator=communicator)
         return
     serve(
-        communicator,
-        lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator),
+        communicator, lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator)
     )
 
 

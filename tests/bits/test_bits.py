@@ -31,12 +31,11 @@ def folder(tmp_path_factory):
 
 def execute(kind, folder, scenes):
     """Run scenes in one kind of execution."""
-    options = (PROGRAM, kind, folder, *scenes)
     with pytest.MonkeyPatch.context() as changed:
         if kind == "forked":
             changed.setenv("GRANFLOW_KERNELS", "quadrants")
         run = partial(rank_launcher.on_ranks, 2) if kind == "ranks" else rank_launcher.alone
-        done = run(*options, seconds=900)
+        done = run(PROGRAM, kind, folder, *scenes, seconds=900)
     assert done.returncode == 0, done.stderr[-3000:]
 
 
@@ -73,13 +72,6 @@ def differences(folder, execution, scene):
     return sorted(arrays | {n for n in reference.keys() | files.keys() if reference.get(n) != files.get(n)})
 
 
-def assert_effects(folder, scene):
-    """Assert that the features of a scene have had effects in the reference, over several rebuilds."""
-    found = loaded(folder / "one" / scene)
-    assert found["rebuilds"] >= 3 and found["totals.contact_count"] >= 3
-    assert all(found[f"totals.{name}"] != 0.0 for name in SCENES[scene].effects), scene
-
-
 def assert_same_bits(folder, scene, executions):
     found = {execution: differences(folder, execution, scene) for execution in executions}
     assert found and not {key: names for key, names in found.items() if names}, scene
@@ -94,15 +86,20 @@ def skip_if_missing(kind):
 
 
 def check_host(folder, scenes, kind):
-    """Workers, more of them than threads of the pool, other lists, and runs resumed from checkpoints."""
+    """Workers, more of them than threads of the pool, other lists, and runs resumed from checkpoints.
+
+    The features of the scenes have had effects in the reference, over several rebuilds.
+    """
     execute_on_host(folder, scenes, kind)
     for scene in scenes:
+        found = loaded(folder / "one" / scene)
+        assert found["rebuilds"] >= 3 and found["totals.contact_count"] >= 3
+        assert all(found[f"totals.{name}"] != 0.0 for name in SCENES[scene].effects), scene
         _one, *others = host_executions(scene, kind == "usual")
-        assert_effects(folder, scene)
         assert_same_bits(folder, scene, others)
         whole = states_of(folder / "one" / scene)
         assert len(whole) >= 10
-        (last_resumed,) = [each for each in others if each in RESUMED][-1:]
+        last_resumed = [each for each in others if each in RESUMED][-1]
         assert states_of(folder / last_resumed / scene) == whole
 
 

@@ -10,21 +10,12 @@ from scene_builders import colliding, column, few_spheres, particle_group, plane
 
 GLASS = {"young_modulus": 48e9, "poisson_ratio": 0.20, "density": 2800.0}
 ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.30, "density": 2699.0}
-ALLOY_OBLIQUE = {"young_modulus": 70e9, "poisson_ratio": 0.33, "density": 2700.0}
 OXIDE = {"young_modulus": 380e9, "poisson_ratio": 0.23, "density": 4000.0}
 RIGID = {"young_modulus": 1e25, "poisson_ratio": 0.3, "density": 1e4}
 FLOOR = {"floor": plane([0, 0, 0], [0, 0, 1], "rigid")}
 
 HALF_DIGIT = 6e-4
 """Relative tolerance: the values of the benchmark have four to five digits."""
-
-
-def scene_of(group, material, velocity, pair, walls=FLOOR, fraction=0.002, **parts):
-    """Particles that collide with each other or with a rigid floor."""
-    return few_spheres(
-        {"balls": group}, walls, pair, materials={"glass": material, "rigid": RIGID},
-        run={"duration": 1e-3, "velocity_max": velocity}, numerics={"time_step_fraction": fraction}, **parts,
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -40,10 +31,13 @@ def test_elastic_collisions_reach_the_overlap_force_and_duration(
     """Tests 1 to 3: maximum overlap [m], maximum force [N] and duration [s]."""
     if material is GLASS:
         group = colliding(diameter, diameter, 2 * velocity)
-        scene = scene_of(group, material, 2 * velocity, {"restitution": 1.0}, walls=None)
     else:
         group = particle_group([[0.0, 0.0, 0.5 * diameter]], diameter, velocity=[0.0, 0.0, -velocity])
-        scene = scene_of(group, material, velocity, {"restitution": 1.0})
+    scene = few_spheres(
+        {"balls": group}, FLOOR if material is ALLOY else None, {"restitution": 1.0},
+        materials={"glass": material, "rigid": RIGID}, run={"duration": 1e-3, "velocity_max": 2 * velocity},
+        numerics={"time_step_fraction": 0.002},
+    )  # fmt: skip
     snapshots = run_and_sample(scene, duration / 400.0, until=1.2 * duration)
     force = np.linalg.norm(column(snapshots, "force")[:, 0], axis=1)
     position = column(snapshots, "position")
@@ -73,16 +67,3 @@ def test_rebound_has_the_requested_restitution(taichi_f64):
     )  # fmt: skip
     rebound = run_and_sample(scene, 1.0, until=1.8e-5)[-1].particles["velocity"][:5, 2] / 3.9
     np.testing.assert_allclose(rebound, list(requested.values()), rtol=2e-3)
-
-
-def test_collision_of_equal_balls_with_opposite_rotations_has_no_friction(taichi_f64):
-    """Test 7: the surfaces do not slip, so no tangential velocity results and the angular velocity keeps its
-    bits."""
-    spin = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, -5.0]])
-    group = colliding(0.2, 0.2, 0.4, angular_velocity=spin)
-    pair = {"restitution": 0.5, "friction": 0.4}
-    scene = scene_of(group, ALLOY_OBLIQUE, 0.4, pair, walls=None, fraction=0.05)
-    last = run_and_sample(scene, 1.0, until=1.5e-3)[-1].particles
-    np.testing.assert_allclose(last["velocity"][:2, 0], [-0.1, 0.1], rtol=0.005)
-    assert not last["velocity"][:2, 1:].any()
-    np.testing.assert_array_equal(last["angular_velocity"][:2], spin)

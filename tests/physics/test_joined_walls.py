@@ -8,9 +8,7 @@ plane, because all surfaces lie in the plane z = 0.
 import numpy as np
 import pytest
 from geometry.meshes import write
-from scene_builders import build_scene, column, few_spheres, particle_group, plane, run_and_sample, run_to_end
-
-from granflow.plan.build import plan_for
+from scene_builders import build_scene, column, particle_group, plane, run_and_sample
 
 RADIUS = 2e-3
 VELOCITY = np.array([0.4, 0.15, -0.5])
@@ -199,38 +197,3 @@ def test_walls_that_touch_act_as_one_surface_and_corners_as_two(taichi_f64, fold
     np.testing.assert_allclose(velocity[:count, 2], 0.15, rtol=1e-3)
     np.testing.assert_array_equal(counts[:, 2 * count :].max(axis=0), contacts)
     np.testing.assert_allclose(velocity[2 * count :], -0.6 * smooth_velocity, atol=2e-3)
-
-
-def test_coincident_walls_are_reported(folder):
-    """Planes through different points, rectangles from different corners, and equal meshes."""
-    write(folder / "plate.stl", *flat([0, 0], [0.01, 0.01]))
-    walls = {
-        "a": plane([0, 0, 0], [0, 0, 1]),
-        "b": plane([0.3, 0.2, 0], [0, 0, 2]),
-        "upper": plane([0, 0, 0.01], [0, 0, 1]),
-        "c": rectangle([0, 0, 0.05], [0.01, 0, 0], [0, 0.02, 0]),
-        "d": rectangle([0.01, 0.02, 0.05], [0, -0.02, 0], [-0.01, 0, 0]),
-        "adjacent": rectangle([0.01, 0, 0.05], [0.01, 0, 0], [0, 0.02, 0]),
-        "e": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
-        "f": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
-    }
-    warnings = plan_for(build_scene({"b": particle_group([0, 0, 0.3])}, walls=walls)).warnings
-    same = [(t.split()[0], t.split(":")[0].split()[-1]) for t in warnings if "same surface" in t]
-    assert same == [("walls.b", "walls.a"), ("walls.d", "walls.c"), ("walls.f", "walls.e")]
-
-
-def test_rain_avoids_walls(taichi_f64):
-    """Positions of rain inside a wall are not used: nine of ten positions of this region are."""
-    region = {"box": {"min": [-0.05, -0.05, -2e-3], "max": [0.05, 0.05, 4e-3]}}
-    rain = {"kind": "rain", "rate": 1e5, "start": 1e-4, "region": region}
-    group = {
-        "material": "glass",
-        "count": 20,
-        "diameter": 2 * RADIUS,
-        "insert": rain,
-        "velocity": [0, 0, -0.1],
-    }
-    scene = few_spheres({"drops": group}, {"bowl": plane([0, 0, 0], [0, 0, 1])}, run={"duration": 0.01})
-    last, _ = run_to_end(scene)
-    drops = last.particles["group"] == 0
-    assert drops.sum() > 10 and last.particles["position"][drops, 2].min() > 0.9 * RADIUS

@@ -120,15 +120,6 @@ def test_finnie_integrates_over_the_angles_of_an_impact(worn, triangle_angle):
     assert depth * (0.5 * 0.4**2) == pytest.approx(expected, rel=3e-3)
 
 
-def test_works_of_an_impact_without_friction(worn):
-    """|F_n v_n| over approach and rebound is the kinetic energy of both; there is no tangential work."""
-    last, _ = worn
-    rebound = last.particles["velocity"][-2:, 2]
-    expected = 0.5 * MASS * (np.sin(ANGLES) ** 2 + rebound**2).sum()
-    assert last.totals["wear_normal_work.coarse"] == pytest.approx(expected, rel=2e-3)
-    assert last.totals["wear_tangential_work.coarse"] == 0.0
-
-
 def test_files_of_worn_walls(worn):
     """Rows have totals; frames have no depth of an infinite wall, and the mean depth of a plate."""
     last, folder = worn

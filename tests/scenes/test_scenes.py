@@ -29,7 +29,7 @@ LARGE = (
 REDUCED = {
     # The outlet is as wide as the bed is high, so the flow is not steady and Beverloo's law does not apply.
     # Nearly all particles flow out. A sphere without rolling friction that rolls around the funnel does not
-    # descend: its path oscillates in height, as in a vertical cylinder (see tests/physics/test_rest.py). With
+    # descend: its path oscillates in height, as in a vertical cylinder. With
     # other seeds, one or two of 300 particles are still in the funnel after 0.3 s, also without rest damping
     # (6 of 12 seeds).
     "hopper": (
