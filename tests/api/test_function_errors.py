@@ -22,12 +22,6 @@ def member(position, velocity, radius, mass, time, parameters):
     return parameters.viscosiy * velocity
 
 
-def early(position, velocity, radius, mass, time, parameters):
-    if radius > 0.0:
-        return velocity
-    return -velocity
-
-
 def nothing(position, velocity, radius, mass, time, parameters):
     force = mass * velocity  # noqa: F841
 
@@ -41,17 +35,32 @@ def without_source(position, velocity, radius, mass, time, parameters):
     return generated(velocity)
 
 
-FORCES = {
-    undefined: (2, 'Name "viscosity" is not defined; give numbers of the program in `parameters`'),
-    member: (1, "AttributeError: the struct has no attribute 'viscosiy'; its members are viscosity"),
-    without_source: (
-        1,
-        "OSError: could not get source code: define all functions in a file or a notebook cell",
-    ),
-    early: (2, "Return inside non-static if/for is not supported"),
-    nothing: (0, "the function must return a vector of three components [N]"),
-}
-"""Functions with an error: number of the line in the function, and reason."""
+def position_of(function, line):
+    """File and line of the source, as in messages."""
+    return f"{Path(__file__)}:{getsourcelines(function)[1] + line}"
+
+
+def scene(**more):
+    """Two particles that overlap."""
+    return flying([[0.0] * 3, [0.0, 0.0099, 0.0]], [0.0] * 3, **more)
+
+
+@pytest.mark.parametrize(("function", "line", "reason"), [
+    (undefined, 2, 'Name "viscosity" is not defined; give numbers of the program in `parameters`'),
+    (member, 1, "AttributeError: the struct has no attribute 'viscosiy'; its members are viscosity"),
+    (without_source, 1, "OSError: could not get source code: define all functions in a file or a notebook cell"),
+    (nothing, 0, "the function must return a vector of three components [N]"),
+])  # fmt: skip
+def test_force_that_cannot_be_compiled(taichi_f64, function, line, reason):
+    force = gf.ParticleForce(function, {"viscosity": 1.0})
+    where = position_of(function, line)
+    with gf.Simulation(scene()) as simulation:
+        with pytest.raises(gf.FunctionError) as error:
+            simulation.forces.append(force)
+        assert (
+            str(error.value) == f"The force {function.__name__} at 0 s cannot be compiled: {where}: {reason}."
+        )
+        simulation.step(2)
 
 
 class Faulty(CohesionLaw):
@@ -79,15 +88,6 @@ class Undefined(Faulty):
 
 
 @dataclass(frozen=True)
-class Member(Faulty):
-    name = "missing_member"
-
-    @ti.func
-    def force(self, constants, contact, history):
-        return contact.overlapp, history
-
-
-@dataclass(frozen=True)
 class OneValue(Faulty):
     name = "one_value"
 
@@ -109,85 +109,25 @@ class OtherHistory(Faulty):
         return contact.overlap, ti.Struct(smallest=contact.overlap)
 
 
-MODELS = {
-    Undefined: (helper, 2, 'Name "stiffness" is not defined; give numbers of the program in `parameters`'),
-    Member: (
-        Member.force,
-        2,
-        "AttributeError: the struct has no attribute 'overlapp'; its members are mass_eff, overlap, "
-        "overlap_rate, radius_eff, time_step",
-    ),
-    OneValue: (OneValue.force, 0, "force must return (number, history), not (number)"),
-    OtherHistory: (OtherHistory.force, 0, "force must return the history with its fields (largest)"),
-}
-"""Models with an error: function, number of the line in the function with its decorator, and reason."""
-
-
-def position_of(function, line):
-    """File and line of the source, as in messages."""
-    return f"{Path(__file__)}:{getsourcelines(function)[1] + line}"
-
-
-def scene(**more):
-    """Two particles that overlap."""
-    return flying([[0.0] * 3, [0.0, 0.0099, 0.0]], [0.0] * 3, **more)
-
-
-@pytest.mark.parametrize("function", FORCES)
-def test_force_that_cannot_be_compiled(taichi_f64, function):
-    line, reason = FORCES[function]
-    force = gf.ParticleForce(function, {"viscosity": 1.0})
-    expected = (
-        f"The force {function.__name__} at 0 s cannot be compiled: {position_of(function, line)}: {reason}."
-    )
-    with pytest.raises(gf.FunctionError) as error:
-        gf.Simulation(scene(), forces=[force])
-    assert str(error.value) == expected
-    with gf.Simulation(scene()) as simulation:
-        with pytest.raises(gf.FunctionError) as error:
-            simulation.forces.append(force)
-        assert str(error.value) == expected
-        simulation.step(2)
-
-
-@pytest.mark.parametrize("law", MODELS)
-def test_contact_model_that_cannot_be_compiled(taichi_f64, tmp_path, law):
-    function, line, reason = MODELS[law]
+@pytest.mark.parametrize(("law", "function", "line", "reason"), [
+    (Undefined, helper, 2, 'Name "stiffness" is not defined; give numbers of the program in `parameters`'),
+    (OneValue, OneValue.force, 0, "force must return (number, history), not (number)"),
+    (OtherHistory, OtherHistory.force, 0, "force must return the history with its fields (largest)"),
+])  # fmt: skip
+def test_contact_model_that_cannot_be_compiled(taichi_f64, law, function, line, reason):
+    """Lines are those of the function with its decorator."""
     model = ContactModel(law, "cannot be compiled")
     gf.register_contact_model(model)
+    contact = {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": law.name}
     try:
-        contact = {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": law.name}
-        with (
-            pytest.raises(gf.FunctionError) as error,
-            gf.Simulation(scene(contact=contact), out=tmp_path / "run") as simulation,
-        ):
+        with pytest.raises(gf.FunctionError) as error, gf.Simulation(scene(contact=contact)) as simulation:
             simulation.step()
     finally:
         unregister_contact_model(model)
-    where = position_of(function, line)
-    sentence = f"The function force of the contact model {law.name} cannot be compiled: {where}: {reason}."
-    assert str(error.value) == sentence
+    sentence = f"The function force of the contact model {law.name} cannot be compiled: "
+    assert str(error.value) == f"{sentence}{position_of(function, line)}: {reason}."
     with gf.Simulation(scene()) as simulation:
         simulation.step(2)
-
-
-class Branching(Faulty):
-    """Conditions of numbers that are known when the kernel is compiled, and one that is not."""
-
-    name = "branching"
-    doubled = True
-
-    @ti.func
-    def force(self, constants, contact, history):
-        result = contact.overlap
-        if self.doubled and ti.static(len(history.keys) == 0):
-            result = 2.0 * result
-        for k in ti.static(range(2)):
-            if k == 1:
-                result = 3.0 * result
-        if result > 1.0:
-            result = 1.0
-        return result, history
 
 
 @ti.func
@@ -198,26 +138,18 @@ def limited(value):
     return result
 
 
-class Calling(Faulty):
-    name = "calling"
+class Branching(Faulty):
+    """Conditions that are known when the kernel is compiled, and one that is not."""
+
+    name = "branching"
+    doubled = True
 
     @ti.func
     def force(self, constants, contact, history):
-        return limited(contact.overlap), history
-
-
-@pytest.mark.parametrize(
-    ("law", "function", "line"),
-    [(Branching, Branching.force, 8), (Calling, limited, 3)],
-)
-def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, function, line):
-    """Without the refusal the process ends with a segmentation fault when the first scene is compiled."""
-    with pytest.raises(gf.GranflowError) as error:
-        gf.register_contact_model(ContactModel(law, "has a branch"))
-    assert str(error.value) == (
-        f"contact model {law.__name__}: {position_of(function, line)}: force has a branch that depends on "
-        "the contact, in a loop that must be vectorized; use ti.select"
-    )
+        result = contact.overlap
+        if self.doubled and ti.static(len(history.keys) == 0):
+            result = 2.0 * result
+        return limited(result), history
 
 
 class CallingGenerated(Faulty):
@@ -228,21 +160,23 @@ class CallingGenerated(Faulty):
         return generated(contact.overlap), history
 
 
-def test_a_function_without_source_is_refused_at_once():
+def test_models_with_a_branch_or_without_source_are_refused_at_registration():
+    """Without the refusal of a branch in a vectorized loop the process ends with a segmentation fault when the first
+    scene is compiled."""
+    for law, reason in (
+        (Branching, f"{position_of(limited, 3)}: force has a branch that depends on the contact, in a loop"),
+        (
+            CallingGenerated,
+            "the source of generated is not available, which is compiled from it; define it in",
+        ),
+    ):
+        with pytest.raises(gf.GranflowError) as error:
+            gf.register_contact_model(ContactModel(law, "is refused"))
+        assert str(error.value).startswith(f"contact model {law.__name__}: {reason}")
+
+
+def test_functions_with_other_arguments_and_lambdas_are_refused():
+    with pytest.raises(gf.GranflowError, match=r"takes \(position, velocity\), but must take \(position, "):
+        gf.ParticleForce(lambda position, velocity: velocity)
     with pytest.raises(gf.GranflowError, match="cannot compile a lambda: define the function with def"):
         gf.ParticleForce(lambda position, velocity, radius, mass, time, parameters: velocity)
-    with pytest.raises(gf.GranflowError) as error:
-        gf.register_contact_model(ContactModel(CallingGenerated, "calls a function of exec"))
-    assert str(error.value) == (
-        "contact model CallingGenerated: the source of generated is not available, which is compiled from "
-        "it; define it in a file or a notebook cell"
-    )
-
-
-@pytest.mark.parametrize("slot", ["normal", "cohesion"])
-def test_a_contact_model_that_is_not_registered_has_a_remedy(slot):
-    contact = {"normal": "hertz", "tangential": "none", "rolling": "none", slot: {"law": "xyz"}}
-    with pytest.raises(
-        gf.SceneError, match="Register a model of your own before: granflow.register_contact_model."
-    ):
-        gf.Scene.from_dict(scene().to_dict() | {"contact": contact})

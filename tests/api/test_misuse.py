@@ -3,9 +3,7 @@ sentence."""
 
 import copy
 import multiprocessing
-import pickle
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +12,13 @@ from subprocess_runner import in_subprocess
 
 import granflow as gf
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
-
 
 def drag(position, velocity, radius, mass, time, parameters):
     return -parameters.rate * mass * velocity
+
+
+def seen(snapshot):
+    """Does nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +28,6 @@ def simulation(taichi_f64):
     with gf.Simulation(beads(), forces=[force], observers=[gf.on_interval(1e-3, seen)]) as found:
         found.step(3)
         yield found
-
-
-def seen(snapshot):
-    """Does nothing."""
 
 
 VECTORS = np.zeros((2, 3))
@@ -46,61 +42,47 @@ def velocity(value):
 WRONG = {
     "path is 5, but must be a path": lambda _: gf.load_scene(5),
     "overrides is 'run.duration=1', but": lambda _: gf.load_scene("a.yaml", "run.duration=1"),
-    "folder is 5, but must be a path": lambda _: gf.Scene.from_dict(beads().to_dict(), 5),
-    "path is None, but must be a path": lambda _: beads().save(None),
-    "precision is 'f16'; give one of f64, f32": lambda _: beads().with_precision("f16"),
-    "directory is ['out'], but must be a path": lambda _: gf.read_run(["out"]),
+    "precision is 'f16'; give one of f64, f32, mixed.": lambda _: gf.Simulation(beads(), precision="f16"),
+    "arch is 'tpu'; give one of cpu, cuda, vulkan, gpu.": lambda _: gf.start("tpu"),
     "scene is a str; make a scene of it with granflow.load_scene": lambda _: gf.plan_for("a.yaml"),
     "but must be a plan of granflow.plan_for": lambda _: gf.explain(beads()),
-    "plan is 5, but must be a plan": lambda _: gf.estimate_memory(5, "f64"),
     "source is 5, but must be the path of a file": lambda _: gf.sweep(5),
-    "source is 6, but must be the path of a file": lambda _: gf.calibrate(6),
     "history contains (0.0, 1.0), but must have rows of": lambda _: gf.steady_flow([(0.0, 1.0)]),
     "snapshots is 5, but must be a list": lambda _: gf.analyze_snapshots(beads(), 5, "out"),
     "model is 5, but must be a ContactModel": lambda _: gf.register_contact_model(5),
-    "metric is 5, but must be a subclass of": lambda _: gf.register_metric(5),
-    "equation is 5, but must be a ParticleEquation": lambda _: gf.register_particle_equation(5),
     "threads is 'two'; give a whole number of at least 1": lambda _: gf.start("cpu", "f64", "two"),
     "ParticleData: velocity has the shape (3, 2), but must have (2, 3)": lambda _: gf.ParticleData(*DATA),
     "force drag: parameters is 5, but must be a mapping": lambda _: gf.ParticleForce(drag, 5),
     "parameter rate is complex numbers, but": lambda _: gf.ParticleForce(drag, {"rate": 1j}),
     "interval is True, but must be a number [s] or text": lambda _: gf.on_interval(True, seen),
-    "wants is 5, but must be a list of parts of a": lambda _: gf.on_interval(1, seen, wants=5),
-    "out is 5, but must be a path": lambda _: gf.Simulation(beads(), out=5),
-    "must be a list of": lambda _: gf.Simulation(beads(), observers=gf.on_interval(1, seen)),
-    "forces is 5, but must be a list of granflow.P": lambda _: gf.Simulation(beads(), forces=5),
-    "must be arrays of granflow.Part": lambda _: gf.Simulation(beads(), particles=VECTORS),
-    "resume is 5, but must be a directory": lambda _: gf.Simulation(beads(), resume=5),
-    "plan is 6, but must be a plan": lambda _: gf.Simulation(beads(), plan=6),
     "wants contains 'contact', but has parts of": lambda _: gf.on_interval(1, seen, wants=["contact"]),
     "function is 3, but must be a function of a snapshot": lambda _: gf.on_interval(1, 3),
-    "interval is 1 kg, but": lambda _: gf.on_interval("1 kg", seen),
-    "print is not an observer: give granflow.on_interval": lambda s: s.observers.append(print),
+    "must be a list of": lambda _: gf.Simulation(beads(), observers=gf.on_interval(1, seen)),
+    "must be arrays of granflow.Part": lambda _: gf.Simulation(beads(), particles=VECTORS),
+    "resume is 5, but must be a directory": lambda _: gf.Simulation(beads(), resume=5),
     "scene is a dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation({"a": 1}),
+    "print is not an observer: give granflow.on_interval": lambda s: s.observers.append(print),
     "count is nan, but must be a whole number": lambda s: s.step(float("nan")),
-    "count is -1, but must be a whole number": lambda s: s.step(-1),
     "until is nan s, but must be finite": lambda s: s.run(until=float("nan")),
     "until is -1 s, but the simulation is at": lambda s: s.run(until=-1.0),
     "save needs an output directory": lambda s: s.save(),
-    "duration is -1": lambda s: s.run(duration=-1.0),
     "run takes until or duration, not both": lambda s: s.run(until=1.0, duration=1.0),
-    "until is [1], but must be a number [s] or text with a unit": lambda s: s.run(until=[1]),
     "duration is 1 kg, but kg is a unit of mass": lambda s: s.run(duration="1 kg"),
-    "particles is 5, but must be arrays of granflow.ParticleData": lambda s: s.restart(5),
     "request_stop takes an exception": lambda s: s.request_stop("now"),
-    "the index of forces is 'drag', but must be a whole number": lambda s: s.forces["drag"],
     "forces[7] does not exist: forces has 1 entries": lambda s: s.forces[7],
     "5 is not a force of this simulation": lambda s: s.forces.remove(5),
-    "int is not an observer of this simulation": lambda s: s.observers.remove(5),
     "is an observer of this simulation already": lambda s: s.observers.append(s.observers[0]),
-    "position is None, but must be real numbers": lambda s: s.particles.add(None),
     "particles.remove: arrays used as indices must be": lambda s: s.particles.remove("a"),
-    "particles.rows: ids is None, but must be real numbers": lambda s: s.particles.rows(None),
     "is complex numbers, but must be": velocity(1j * VECTORS),
     "is '3 m/s', but must be real numbers": velocity("3 m/s"),
     "has masked entries": velocity(np.ma.array(VECTORS, mask=VECTORS == 0)),
     "contains 1e+200; a value of this": velocity(VECTORS + 1e200),
     "contains 1e+199; a value of this magni": lambda s: s.forces[0].parameters.update(rate=1e199),
+    "drag has no parameter viscosity; its parameters are rate": lambda s: s.forces[0].parameters.update(
+        viscosity=1
+    ),
+    "the parameter rate must remain a number": lambda s: s.forces[0].parameters.update(rate=[1.0, 2.0, 3.0]),
+    "has two forces drag": lambda s: s.forces.append(gf.ParticleForce(drag, {"rate": 1.0})),
     "A simulation can neither be pickled nor copied": copy.deepcopy,
 }
 """A part of the sentence, and the call with an argument that cannot be meant."""
@@ -113,23 +95,17 @@ def test_a_wrong_argument_is_refused_with_one_sentence_and_changes_nothing(simul
         WRONG[message](simulation)
     assert message in str(error.value) and "\n" not in str(error.value)
     np.testing.assert_array_equal(simulation.particles.velocity, before)
-    assert simulation.step_count == 3 and len(simulation.particles) == 2
+    assert simulation.step_count == 3 and len(simulation.particles) == 2 and len(simulation.forces) == 1
 
 
 ASSIGNMENTS = (
-    "simulation.forces = []", "simulation.observers = []", "simulation.walls = {}", "simulation.particles = None",
-    "simulation.forces[0] = None", "simulation.observers[0] = None", "simulation.walls['floor'] = None",
-    "del simulation.walls['floor']", "simulation.walls.floor = None", "simulation.forces.drag = None",
-    "simulation.observers.interval = 1", "simulation.walls['floor'].velocity = [0, 0, 1]",
-    "simulation.walls['floor'].name = 'lid'", "simulation.walls['floor'].pose = None", "simulation.particles.speed = 1",
-    "simulation.particles.mass = 1", "simulation.particles.velocity.shape = (6,)",
-    "for row in simulation.particles.velocity: row *= 0.5", "simulation.observers[0].interval = 1e-5",
-    "simulation.observers[0].function = print", "simulation.observers[0].start = 1",
-    "simulation.observers[0].wants = {'contact'}", "simulation.forces[0].function = print",
-    "simulation.forces[0].name = 'other'", "simulation.forces[0].parameters = {'viscosity': 1}",
-    "simulation.forces[0].parameters = {'rate': [0, 0, 1]}", "scene.title = 'other'",
-    "scene.materials['glass'].density = 3", "scene.materials['glass'] = None", "simulation.snapshot().time = 3",
-    "simulation.plan.skin = 1.0", "simulation.run(duration=0).run = {}",
+    "simulation.forces = []", "simulation.walls = {}", "simulation.gravity = 3.0", "simulation.forces[0] = None",
+    "simulation.walls['floor'] = None", "del simulation.walls['floor']", "simulation.walls.floor = None",
+    "simulation.walls['floor'].velocity = [0, 0, 1]", "simulation.particles.speed = 1", "simulation.particles.mass = 1",
+    "simulation.particles.velocity.shape = (6,)", "for row in simulation.particles.velocity: row *= 0.5",
+    "simulation.observers[0].interval = 1e-5", "simulation.observers[0].wants = {'contact'}",
+    "simulation.forces[0].name = 'other'", "scene.title = 'other'", "scene.materials['glass'].density = 3",
+    "simulation.snapshot().time = 3", "simulation.plan.skin = 1.0", "simulation.run(duration=0).run = {}",
 )  # fmt: skip
 
 
@@ -138,35 +114,6 @@ def test_an_assignment_without_effect_is_refused(simulation, statement):
     with pytest.raises((AttributeError, gf.GranflowError, TypeError, ValueError)) as error:
         exec(statement, {"simulation": simulation, "scene": beads()})
     assert str(error.value) and "\n" not in str(error.value)
-    assert [force.name for force in simulation.forces] == ["drag"]
-    assert simulation.forces[0].parameters["rate"] == 0.5
-
-
-def test_assigned_parameters_of_a_force_take_effect(simulation):
-    """The rate of decay dv/dt = -g - k v in free flight: the exact velocity after each part, to second
-    order."""
-    simulation.particles.position = [[0.0, 0.0, 0.05], [0.02, 0.0, 0.05]]
-    for rate in (200.0, 900.0):
-        simulation.particles.velocity = [[1.0, 0.0, 0.0]] * 2
-        simulation.forces[0].parameters = {"rate": rate}
-        begin = simulation.time
-        simulation.run(duration=5e-4)
-        expected = np.exp(-rate * (simulation.time - begin))
-        assert simulation.particles.velocity[0, 0] == pytest.approx(
-            expected, rel=(rate * simulation.time_step) ** 2
-        )
-    simulation.forces[0].parameters = {"rate": 0.5}
-
-
-def test_an_observer_with_other_parts_receives_them(simulation):
-    found = []
-    observer = gf.on_interval(1e-5, lambda snapshot: found.append(snapshot.contacts), wants=["totals"])
-    simulation.observers.append(observer)
-    simulation.run(duration=3e-5)
-    observer.wants = ["contacts"]
-    simulation.run(duration=3e-5)
-    simulation.observers.remove(observer)
-    assert found[0] is None and found[-1] is not None
 
 
 def generator(snapshot):
@@ -174,15 +121,9 @@ def generator(snapshot):
     yield snapshot
 
 
-async def coroutine(snapshot):
-    """Would never run."""
-
-
 def test_a_function_that_would_not_be_executed_is_no_observer(taichi_f64):
-    for function in (generator, coroutine):
-        message = "is a generator or a coroutine, whose code a call does not execute"
-        with pytest.raises(gf.GranflowError, match=message):
-            gf.on_interval(1e-3, function)
+    with pytest.raises(gf.GranflowError, match="is a generator or a coroutine, whose code a call does not"):
+        gf.on_interval(1e-3, generator)
     observer = gf.on_interval(1e-3, lambda snapshot: generator(snapshot))
     with gf.Simulation(beads(), observers=[observer]) as simulation:
         with pytest.raises(gf.FunctionError, match=r"failed at 0 s: .*it returns a generator or a coroutine"):
@@ -190,28 +131,23 @@ def test_a_function_that_would_not_be_executed_is_no_observer(taichi_f64):
 
 
 def test_an_observer_belongs_to_one_simulation_at_a_time(taichi_f64):
+    """After the end of the first one it begins again in the next one."""
     times = []
     observer = gf.on_interval(1e-3, lambda snapshot: times.append(snapshot.time))
     for _ in range(2):
         with gf.Simulation(beads(), observers=[observer]) as simulation:
             simulation.run()
-            with pytest.raises(
-                gf.GranflowError, match="is an observer of another simulation, which has not been freed"
-            ):
+            with pytest.raises(gf.GranflowError, match="is an observer of another simulation, which has not"):
                 gf.Simulation(beads(), observers=[observer])
-    assert len(times) == 10 and times[:5] == times[5:], (
-        "after its end, the observer begins again in the next one"
-    )
+    assert len(times) == 10 and times[:5] == times[5:]
 
 
-@pytest.mark.parametrize("method", ["step", "run", "close", "free"])
+@pytest.mark.parametrize("method", ["step", "free"])
 def test_an_observer_cannot_advance_or_end_its_simulation(taichi_f64, method):
     with gf.Simulation(beads()) as simulation:
         observer = gf.on_interval(1e-3, lambda snapshot: getattr(simulation, method)(), wants=["walls"])
         simulation.observers.append(observer)
-        with pytest.raises(
-            gf.FunctionError, match="cannot be called by an observer, while the simulation runs: raise"
-        ):
+        with pytest.raises(gf.FunctionError, match="cannot be called by an observer, while the simulation"):
             simulation.run()
         simulation.observers.remove(observer)
         simulation.run()
@@ -238,9 +174,8 @@ def test_a_simulation_is_used_in_its_own_thread_only(simulation):
     """Two threads would mix their steps. Times may be read, and a stop requested."""
     before = simulation.step_count
     for call in (
-        simulation.step, simulation.snapshot, simulation.run, simulation.close, simulation.free,
+        simulation.step, simulation.snapshot, simulation.run, simulation.free,
         lambda: simulation.particles.velocity[:], lambda: simulation.walls["floor"].pose,
-        lambda: simulation.walls["floor"].remove(), lambda: simulation.particles.remove([0]),
         lambda: simulation.forces.remove(simulation.forces[0]),
     ):  # fmt: skip
         message = in_thread(call)
@@ -254,65 +189,35 @@ def test_a_simulation_is_used_in_its_own_thread_only(simulation):
     assert simulation.step_count > before, "the run continues after the stop"
 
 
-def run_in_threads():
-    """Message of a thread that fails, and positions of runs in another thread and in the main thread."""
+def positions_of_runs():
+    """Positions at the end of a run in another thread and in the main thread, and the message of a fork."""
 
     def whole():
         with gf.Simulation(beads()) as simulation:
             simulation.run()
             return simulation.particles.position[:].tolist()
 
-    message = in_thread(lambda: gf.Simulation(beads()).run("never"))
-    return [message, in_thread(whole), whole()]
+    def step(sender):
+        try:
+            simulation.step()
+        except gf.GranflowError as error:
+            sender.send(str(error))
 
-
-def test_threads_use_granflow_one_after_the_other_also_after_a_failure():
-    message, *positions = in_subprocess(run_in_threads)
-    assert message == "GranflowError: until is never, but a time is expected, such as 10 ms."
-    assert positions[0] == positions[1]
-
-
-def steps_in_children():
-    """Messages of a fork, and steps of a process with the method spawn, which gets a scene and returns a
-    result."""
+    found = [in_thread(whole), whole()]
     with gf.Simulation(beads()) as simulation:
         simulation.step(3)
-        messages = []
-        for call in (simulation.step, lambda: gf.Simulation(beads())):
-            receive, send = multiprocessing.Pipe(duplex=False)
-            child = multiprocessing.get_context("fork").Process(
-                target=lambda c=call, s=send: s.send(in_try(c))
-            )
-            child.start()
-            child.join(30)
-            messages.append(receive.recv() if receive.poll(1) else "no answer")
-            child.kill()
+        receiver, sender = multiprocessing.Pipe(duplex=False)
+        child = multiprocessing.get_context("fork").Process(target=step, args=(sender,))
+        child.start()
+        child.join(30)
+        found.append(receiver.recv() if receiver.poll(1) else "no answer")
+        child.kill()
         simulation.step(3)
-    return messages
-
-
-def in_try(function):
-    """The message of the exception of a function."""
-    try:
-        function()
-    except gf.GranflowError as error:
-        return str(error)
+    return found
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="the system has no fork")
-def test_a_fork_after_a_simulation_is_refused_and_names_spawn():
-    messages = in_subprocess(steps_in_children)
-    assert len(messages) == 2
-    for message in messages:
-        assert 'multiprocessing.get_context("spawn") instead of "fork"' in message
-
-
-def test_scenes_and_results_can_be_pickled(simulation):
-    """Other processes receive scenes and return results; laws with options, clumps and files as well."""
-    result = simulation.run(duration=0.0)
-    assert pickle.loads(pickle.dumps(result)) == result
-    for path in [*SCENES.glob("*.yaml"), *(SCENES / "verification").glob("*.yaml")]:
-        found = gf.load_scene(path)
-        again = pickle.loads(pickle.dumps(found))
-        assert again == found and (again.folder, again.path) == (found.folder, found.path), path
-        assert pickle.loads(pickle.dumps(found.contact)) == found.contact, path
+def test_threads_take_turns_and_a_fork_is_refused():
+    first, second, message = in_subprocess(positions_of_runs)
+    assert first == second
+    assert 'multiprocessing.get_context("spawn") instead of "fork"' in message

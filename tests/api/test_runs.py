@@ -1,17 +1,15 @@
 """Runs in parts: steps, times, durations, and the files of a simulation in a with block."""
 
 import csv
-import io
-import logging
-from contextlib import redirect_stderr
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from api.scenes import beads
-from scene_builders import build_scene, plane
-from subprocess_runner import each_in_subprocess
+from scene_builders import build_scene
 
 import granflow as gf
+from granflow.particles.insertion import initial_particles
 
 OUTPUT = {"interval": 1e-3, "timeseries_interval": 5e-4, "energy_budget": True}
 
@@ -50,7 +48,16 @@ def test_run_in_parts_writes_the_files_of_one_run(tmp_path, whole):
     assert (tmp_path / "result.json").exists()
 
 
-@pytest.mark.parametrize("begin", [lambda s: s.run(until=0), lambda s: s.step(0), lambda s: s.save()])
+def test_a_simulation_outside_of_a_with_block_is_finished_after_one_run(tmp_path, whole):
+    simulation = gf.Simulation(falling(), out=tmp_path)
+    simulation.run()
+    assert files_of(tmp_path) == whole
+    with pytest.raises(gf.GranflowError, match="are finished: put all runs"):
+        simulation.run(duration=1e-3)
+    simulation.free()
+
+
+@pytest.mark.parametrize("begin", [lambda s: s.run(until=0), lambda s: s.save()])
 def test_a_run_that_ended_at_its_start_can_be_resumed(tmp_path, whole, begin):
     with gf.Simulation(falling(), out=tmp_path) as simulation:
         begin(simulation)
@@ -71,29 +78,18 @@ def test_a_result_between_two_rows_does_not_change_the_energy_error(tmp_path, ta
     assert first == second
 
 
-def test_run_continues_beyond_the_last_stage(taichi_f64):
+def test_a_run_ends_with_the_stages_or_continues_beyond_them(taichi_f64):
     times = []
-    with gf.Simulation(
-        falling(), observers=[gf.on_interval("1 ms", lambda s: times.append(s.time))]
-    ) as simulation:
-        simulation.run()
-        simulation.run(duration=1e-3)
-        assert simulation.time == pytest.approx(3e-3, abs=2 * simulation.time_step)
-    np.testing.assert_allclose(times, [0.0, 1e-3, 2e-3, 3e-3], atol=2e-5)
-
-
-def test_run_within_the_stages_ends_with_the_last_one(taichi_f64):
-    with gf.Simulation(falling()) as simulation:
+    observer = gf.on_interval("1 ms", lambda snapshot: times.append(snapshot.time))
+    with gf.Simulation(falling(), observers=[observer]) as simulation:
+        simulation.run(until="1 ms")
+        first = simulation.time
+        assert 0.0 <= first - 1e-3 <= simulation.time_step
         simulation.run(until=5e-3, within_stages=True)
         assert simulation.time == pytest.approx(2e-3, abs=2 * simulation.time_step)
-
-
-def test_a_finished_simulation_writes_no_more_files(tmp_path, taichi_f64):
-    simulation = gf.Simulation(falling(), out=tmp_path / "out")
-    simulation.run()
-    with pytest.raises(gf.GranflowError, match="are finished: put all runs"):
-        simulation.run(duration=1e-3)
-    simulation.free()
+        simulation.run(duration="1 ms")
+        assert simulation.time == pytest.approx(3e-3, abs=2 * simulation.time_step)
+    np.testing.assert_allclose(times, [0.0, 1e-3, 2e-3, 3e-3], atol=2e-5)
 
 
 def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
@@ -110,8 +106,7 @@ def test_stages_begin_after_the_previous_ones_have_ended(taichi_f64):
     stages = [{"name": name, "duration": 1e-3} for name in ("first", "second")]
     with gf.Simulation(falling(run={"velocity_max": 1.0}, stages=stages)) as simulation:
         simulation.run(until=np.nextafter(3 * simulation.time_step, 1.0))
-        assert simulation.engine.step_count == 3
-        assert simulation.stage == "first"
+        assert simulation.step_count == 3 and simulation.stage == "first"
         simulation.run(until=1.5e-3)
         assert simulation.stage == "second"
 
@@ -136,46 +131,27 @@ def test_two_simulations_that_alternate_in_one_process_do_not_affect_each_other(
     assert not np.array_equal(*alone)
 
 
-def test_times_of_runs_have_units(taichi_f64):
+def test_particles_from_arrays_replace_those_of_the_scene(taichi_f64):
+    given = initial_particles(falling())
+    given = replace(given, position=given.position + [0.0, 0.0, 0.5])
+    with gf.Simulation(falling(), particles=given) as simulation:
+        np.testing.assert_array_equal(simulation.snapshot().particles["position"], given.position)
+    with pytest.raises(gf.GranflowError, match="radius lies in"):
+        gf.Simulation(falling(), particles=replace(given, radius=2.0 * given.radius))
+
+
+def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(taichi_f64):
     with gf.Simulation(falling()) as simulation:
-        simulation.run(until="1 ms")
-        first = simulation.time
-        assert 0.0 <= first - 1e-3 <= simulation.time_step
-        simulation.run(duration="0.5 ms")
-        assert 0.0 <= simulation.time - first - 0.5e-3 <= 1.01 * simulation.time_step
-        with pytest.raises(gf.GranflowError, match="until"):
-            simulation.run(until="2 kg")
-
-
-@pytest.mark.parametrize("name", ["gravity", "time_step", "gravty"])
-def test_attributes_that_would_have_no_effect_cannot_be_set(taichi_f64, name):
-    with gf.Simulation(falling()) as simulation:
-        with pytest.raises(AttributeError, match=f"Simulation.{name} cannot be set: .* add a force"):
-            setattr(simulation, name, 3.0)
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "message"),
-    [
-        ("totals", "energy", "snapshot.totals has no energy; the names are particle_count, "),
-        (
-            "totals",
-            "elastic_energy",
-            "snapshot.totals has no elastic_energy; set output.energy_budget to true.",
-        ),
-        ("particles", "spin", "snapshot.particles has no spin; the names are position, radius, mass, "),
-        ("walls", "lid", "snapshot.walls has no lid; the names are floor, side."),
-        ("impulses", "floor", "snapshot.impulses has no floor; it is empty."),
-    ],
-)
-def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(taichi_f64, kind, name, message):
-    output = OUTPUT | {"energy_budget": "energy_budget" not in message}
-    with gf.Simulation(falling(output=output)) as simulation:
-        contents = getattr(simulation.snapshot(), kind)
-    with pytest.raises(KeyError) as error:
-        contents[name]
-    assert str(error.value).startswith(message)
-    assert contents.get(name) is None and name not in contents
+        snapshot = simulation.snapshot()
+    for contents, name, message in (
+        (snapshot.totals, "energy", "snapshot.totals has no energy; the names are particle_count, "),
+        (snapshot.walls, "lid", "snapshot.walls has no lid; the names are floor, side."),
+        (snapshot.impulses, "floor", "snapshot.impulses has no floor; it is empty."),
+    ):
+        with pytest.raises(KeyError) as error:
+            contents[name]
+        assert str(error.value).startswith(message)
+        assert contents.get(name) is None and name not in contents
 
 
 def test_rain_avoids_a_wall_where_it_is_at_the_time(taichi_f64):
@@ -196,37 +172,3 @@ def test_rain_avoids_a_wall_where_it_is_at_the_time(taichi_f64):
     assert len(height) == 40 and at == pytest.approx(3e-3, abs=0.05e-3)
     assert abs(height - at).min() >= 0.85e-3
     assert abs(height - 8e-3).min() < 0.9e-3
-
-
-def stderr_of_runs(out, configures_logging):
-    """What programs with a scene that has a warning print to stderr, without and with a directory."""
-    found = []
-    region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.02, 0.02, 0.02]}}
-    group = {"material": "glass", "count": 20, "diameter": 4e-3, "insert": {"kind": "pack", "region": region}}
-    floor = plane([0.0, 0.0, 5e-3], [0.0, 0.0, 1.0])
-    scene = build_scene({"balls": group}, {"floor": floor}, run={"duration": 1e-4})
-    for folder in (None, out):
-        with redirect_stderr(io.StringIO()) as printed:
-            if configures_logging:
-                logging.basicConfig(format="program: %(message)s", force=True)
-            with gf.Simulation(scene, out=folder, overwrite=True) as simulation:
-                for _ in range(2):
-                    simulation.step()
-                simulation.run()
-                assert len(simulation.warnings) == 1
-        found.append(printed.getvalue())
-    return found
-
-
-def test_programs_show_the_warnings_of_a_scene_once(tmp_path):
-    """With the prefix of commands, or as the program has configured logging."""
-    calls = [(str(tmp_path), configures_logging) for configures_logging in (False, True)]
-    for prefix, printed in zip(
-        ("granflow: warning", "program"), each_in_subprocess(stderr_of_runs, calls), strict=True
-    ):
-        for lines in printed:
-            (line,) = (
-                each for each in lines.splitlines() if "particles.balls" in each and "left out" in each
-            )
-            assert line.startswith(f"{prefix}: particles.balls")
-            assert prefix == "program" or lines == f"{line}\n"

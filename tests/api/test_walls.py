@@ -48,44 +48,31 @@ def test_particle_falls_after_its_wall_is_removed(taichi_f64):
 
 @pytest.mark.parametrize("moves_before", [False, True])
 def test_a_motion_starts_from_the_present_pose_at_the_present_time(moves_before, taichi_f64):
-    """The floor rises at 0.1 m/s from 5 ms on; in the first case no wall moves before, so that kernels are
-    compiled."""
+    """The floor rises at 0.1 m/s from 5 ms on, and the side wall turns about a point on it at 1, then 3 and 2 rad/s:
+    the angle is the sum. In the first case no wall moves before, so that kernels are compiled."""
     motion = [{"kind": "translation", "velocity": [0.2, 0.0, 0.0]}] if moves_before else ()
     with gf.Simulation(resting(motion)) as simulation:
+        floor, side = simulation.walls["floor"], simulation.walls["side"]
         simulation.run(until=5e-3)
         start = simulation.time
-        before = simulation.walls["floor"].pose.offset
-        simulation.walls["floor"].motion = gf.Translation(velocity=[0.0, 0.0, "10 cm/s"])
-        simulation.run(duration=0.02)
-        risen = 0.1 * (simulation.time - start)
-        np.testing.assert_allclose(
-            simulation.walls["floor"].pose.offset, before + [0.0, 0.0, risen], atol=1e-12
-        )
-        assert simulation.particles.position[0, 2] > 0.004 + risen
-        assert simulation.snapshot().totals["wall_work"] > 0.0
-        simulation.walls["floor"].motion = None
-        simulation.run(duration=1e-3)
-        np.testing.assert_allclose(
-            simulation.walls["floor"].pose.offset, before + [0.0, 0.0, risen], atol=1e-12
-        )
-
-
-def test_rotation_is_controlled_step_by_step(taichi_f64):
-    """Angular velocities of 1 and then 3 rad/s about an axis: the angle is the sum, the wall turns about the
-    axis."""
-    with gf.Simulation(resting()) as simulation:
+        before = floor.pose.offset
+        floor.motion = gf.Translation(velocity=[0.0, 0.0, "10 cm/s"])
         angle = 0.0
         for rate in (1.0, 3.0, 2.0):
             began = simulation.time
-            simulation.walls["side"].motion = gf.Rotation(
-                point=[0.5, 0, 0], axis=[0, 0, 2], angular_velocity=rate
-            )
-            simulation.run(duration=2e-3)
+            side.motion = gf.Rotation(point=[0.5, 0, 0], axis=[0, 0, 2], angular_velocity=rate)
+            simulation.run(duration=6e-3)
             angle += rate * (simulation.time - began)
-        turned = simulation.walls["side"].pose
-        np.testing.assert_allclose(turned.moved(np.array([[0.5, 0.0, 0.0]])), [[0.5, 0.0, 0.0]], atol=1e-12)
-        expected = [[0.5 - math.sin(angle), math.cos(angle), 0.0]]
-        np.testing.assert_allclose(turned.moved(np.array([[0.5, 1.0, 0.0]])), expected, atol=1e-12)
+        risen = [0.0, 0.0, 0.1 * (simulation.time - start)]
+        np.testing.assert_allclose(floor.pose.offset, before + risen, atol=1e-12)
+        assert simulation.particles.position[0, 2] > 0.004 + risen[2]
+        assert simulation.snapshot().totals["wall_work"] > 0.0
+        turned = [[0.5, 0.0, 0.0], [0.5 - math.sin(angle), math.cos(angle), 0.0]]
+        points = np.array([[0.5, 0.0, 0.0], [0.5, 1.0, 0.0]])
+        np.testing.assert_allclose(side.pose.moved(points), turned, atol=1e-12)
+        floor.motion = None
+        simulation.run(duration=1e-3)
+        np.testing.assert_allclose(floor.pose.offset, before + risen, atol=1e-12)
 
 
 def test_placement_continues_any_motion():
@@ -117,24 +104,22 @@ def test_placement_continues_any_motion():
     rates = (moved(later, time + 0.3 + step) - moved(later, time + 0.3 - step)) / (2 * step)
     found = poses_at(later, np.array([time + 0.3]))
     arms = moved(later, time + 0.3) - found.pivot - found.offset[0]
-    np.testing.assert_allclose(
-        found.velocity[0] + np.cross(found.angular_velocity[0], arms), rates, atol=1e-8
-    )
+    velocity = found.velocity[0] + np.cross(found.angular_velocity[0], arms)
+    np.testing.assert_allclose(velocity, rates, atol=1e-8)
 
 
 def test_changes_that_are_not_possible_are_refused(taichi_f64):
     with gf.Simulation(resting()) as simulation:
-        walls = simulation.walls
         with pytest.raises(
             gf.GranflowError, match="'flor' is not a wall of the scene; its walls are floor, side"
         ):
-            walls["flor"].remove()
+            simulation.walls["flor"].remove()
         for motion, message in (
             (gf.Translation(velocity=[1e4, 0.0, 0.0]), "at up to 1e.04 m/s, but at most"),
             ("fast", "must be a Vibration, Translation, Rotation, Oscillation, SurfaceVelocity"),
         ):
             with pytest.raises(gf.GranflowError, match=message):
-                walls["side"].motion = motion
+                simulation.walls["side"].motion = motion
     servo = [{"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1}]
     with pytest.raises(gf.GranflowError, match="is force-controlled"):
         with_motions(plan_for(resting(servo)), "floor", [], 0.0, [])
@@ -143,6 +128,4 @@ def test_changes_that_are_not_possible_are_refused(taichi_f64):
 def test_an_added_wall_moves_the_numbers_of_triangles_only():
     """Wall w is partner -1 - w, triangle t of n walls is partner -1 - n - t, particles are at least 0."""
     before, now = SimpleNamespace(walls=[0, 1]), SimpleNamespace(walls=[0, 1, 2])
-    walls, particles = [-1, -2], [0, 7]
-    found = renumbered(np.array([*particles, *walls, -3, -4]), before, now)
-    assert found.tolist() == [*particles, *walls, -4, -5]
+    assert renumbered(np.array([0, 7, -1, -2, -3, -4]), before, now).tolist() == [0, 7, -1, -2, -4, -5]
