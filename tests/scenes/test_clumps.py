@@ -24,10 +24,8 @@ def retained_volume(scene):
 def test_heap_of_rods_is_steeper_than_that_of_spheres(taichi_f64):
     """A ridge on a strip of half-width a has the volume a^2 tan(slope) times depth and solid fraction.
 
-    The retained volume measures the slope over the whole heap. The heap is four to eight rods high: its
-    surface alone determines the slope to 5 degrees only. Between fillings the volume has a standard deviation
-    of 8 % for rods and 5 % for spheres, their means differ by 13 %: with three fillings each by 2.5 standard
-    errors.
+    Between fillings it has a standard deviation of 8 % for rods and 5 % for spheres, their means differ by 13 %: with
+    three fillings each by 2.5 standard errors.
     """
     retained = {"rods": [], "spheres": []}
     for seed in (1, 2, 3):
