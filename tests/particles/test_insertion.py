@@ -60,19 +60,20 @@ def test_all_particles_are_inserted_on_time_without_overlap():
 
 
 def test_insertion_is_reproducible_and_depends_on_the_seed_and_the_group():
-    insertion = {"kind": "rain", "region": REGION, "rate": 8000.0}
-    groups = {name: {"count": 300, "diameter": UNIFORM, "insert": insertion} for name in ("first", "second")}
+    insertion = {"kind": "rain", "region": REGION, "rate": 1e5}
+    groups = {name: {"count": 1500, "diameter": UNIFORM, "insert": insertion} for name in ("first", "second")}
     found = []
     for seed in (1, 1, 2):
         both = inserters(scene_with(groups, seed))
         assert [each.group_name for each in both] == ["first", "second"]
-        found.append([each.insert_due(0.03, *NOTHING) for each in both])
+        found.append([each.insert_due(0.01, *NOTHING) for each in both])
     (first, second), (again, _), (other, _) = found
     for name in ("position", "radius"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     assert not np.any(first.position[:50] == other.position[:50])
     assert not np.any(first.position[:50] == second.position[:50])
     assert set(second.group) == {1}
+    assert len(first) > 900 and smallest_gap(first.position, first.radius) >= -1e-12
 
 
 def test_due_particles_are_queued_while_the_region_is_full_also_after_the_last_one_is_due():
