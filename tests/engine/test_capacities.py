@@ -1,20 +1,25 @@
 """Capacities of neighbor lists and saved history may start at 1: they grow without changing a bit."""
 
+import hashlib
+import os
+import tempfile
+
 import numpy as np
 import pytest
-from scene_builders import box, build_scene, particle_group, prepared_simulation, run_to_end
+from gpu.code_path import use_gpu_code_path
+from gpu.scenes import SCENES
+from scene_builders import box, build_scene, particle_group
+from subprocess_runner import in_subprocess
 
+from granflow.engine import fields as dispatch
 from granflow.engine import state_cache
-from granflow.engine.neighbor.sort import BLOCK_SIDE, CellGrids
-from granflow.kernel_language import ti
+from granflow.engine import stepper as gpu_stepper
 from granflow.observers.observer import on_interval
 from granflow.plan import capacities
 from granflow.plan import plan as plan_module
 from granflow.plan.build import plan_for
 from granflow.plan.plan import Plan
 from granflow.simulation import Simulation
-
-ARRAYS = ("position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
 
 
 def compressed_bed(chunk_size):
@@ -36,55 +41,8 @@ def compressed_bed(chunk_size):
     )  # fmt: skip
 
 
-def run_and_sample(scene):
-    """Snapshots with contacts every millisecond and at the end, and the simulation."""
-    snapshots = []
-    simulation = Simulation(
-        scene, observers=[on_interval(1e-3, snapshots.append, ("particles", "totals", "contacts"))]
-    )
-    simulation.run()
-    snapshots.append(simulation.snapshot(contacts=True))
-    simulation.free()
-    return snapshots, simulation
-
-
-@pytest.fixture
-def separate_states(monkeypatch):
-    """No simulation takes arrays that an earlier one has left."""
-    monkeypatch.setattr(state_cache, "_kept", [])
-
-
-@pytest.mark.parametrize(
-    ("chunk_size", "smallest"),
-    [(1, 8), *(pytest.param(size, 1, marks=pytest.mark.slow) for size in (1, 16))],
-)
-def test_capacities_that_start_small_grow_and_are_bit_identical(
-    taichi_f64, monkeypatch, separate_states, chunk_size, smallest
-):
-    """The reference takes the arrays of the run that has grown them, and compiles nothing."""
-    scene = compressed_bed(chunk_size)
-    monkeypatch.setattr(Plan, "list_capacity_per_segment", property(lambda plan: smallest))
-    monkeypatch.setattr(plan_module, "MIN_LIST_ENTRIES", 1)
-    monkeypatch.setattr(capacities, "SPARE", 1)
-    grown, growing_run = run_and_sample(scene)
-    assert growing_run.plan.capacities.list_entries_per_segment <= smallest + 1
-    assert growing_run.engine.timing.growth_count > 0
-    reference, reference_run = run_and_sample(scene)
-    assert reference_run.engine.timing.growth_count == 0
-    assert max(snapshot.totals["contact_count"] for snapshot in reference) > 40
-    assert len(grown) == len(reference)
-    for one, other in zip(grown, reference, strict=True):
-        assert one.totals == other.totals
-        for name in ARRAYS:
-            np.testing.assert_array_equal(one.particles[name], other.particles[name])
-        for name, values in one.contacts.items():
-            np.testing.assert_array_equal(values, other.contacts[name])
-
-
-@pytest.mark.slow
-def test_batch_grows_for_a_particle_with_many_neighbors(taichi_f64, monkeypatch, separate_states):
-    """450 small particles press on a large one; a batch at first holds 392 candidate pairs of one
-    particle."""
+def large_among_small():
+    """450 small particles press on a large one; a batch at first holds 392 candidate pairs of one particle."""
     turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(450)
     height = 1.0 - (2.0 * np.arange(450) + 1.0) / 450
     level = np.sqrt(1.0 - height**2)
@@ -93,62 +51,97 @@ def test_batch_grows_for_a_particle_with_many_neighbors(taichi_f64, monkeypatch,
         "large": particle_group([[0.0, 0.0, 0.0]], 0.04),
         "small": particle_group(0.021 * directions, 0.002, velocity=-0.1 * directions),
     }
-    scene = build_scene(groups, pair={"friction": 0.4}, numerics={"chunk_size": 16}, run={"duration": 1e-4})
-    reference, _ = run_to_end(scene)
-    monkeypatch.setattr(state_cache, "_kept", [])
+    return build_scene(groups, pair={"friction": 0.4}, numerics={"chunk_size": 16}, run={"duration": 1e-4})
+
+
+def short_lists(monkeypatch):
+    monkeypatch.setattr(Plan, "list_capacity_per_segment", property(lambda plan: 8))
+    monkeypatch.setattr(plan_module, "MIN_LIST_ENTRIES", 1)
+    monkeypatch.setattr(capacities, "SPARE", 1)
+
+
+def short_batches(monkeypatch):
     monkeypatch.setattr(plan_module, "MIN_BATCH", 1)
-    grown, growing_run = run_to_end(scene)
-    assert growing_run.engine.timing.growth_count == 1
-    assert reference.particles["coordination_number"].max() == 450
-    for name in ARRAYS:
-        np.testing.assert_array_equal(grown.particles[name], reference.particles[name])
+
+
+def little_history(monkeypatch):
+    """The capacity of lists suffices, but at first only one history entry per chunk can be saved."""
+    planned = plan_for(compressed_bed(16)).capacities
+    monkeypatch.setattr(capacities, "HISTORY_SHARE", (planned.segments + 0.5) / planned.list_entries)
+    monkeypatch.setattr(capacities, "SPARE", 0)
+
+
+def run_and_sample(scene):
+    """Snapshots with contacts every millisecond and at the end, and how often the arrays have grown."""
+    snapshots = []
+    observer = on_interval(1e-3, snapshots.append, ("particles", "totals", "contacts"))
+    with Simulation(scene, observers=[observer]) as simulation:
+        simulation.run()
+        return [*snapshots, simulation.snapshot(contacts=True)], simulation.engine.timing.growth_count
+
+
+@pytest.mark.parametrize(
+    ("build", "chunk_size", "reduce"),
+    [
+        (compressed_bed, 1, short_lists),
+        pytest.param(compressed_bed, 16, little_history, marks=pytest.mark.slow),
+        pytest.param(large_among_small, None, short_batches, marks=pytest.mark.slow),
+    ],
+)
+def test_capacities_that_start_small_grow_and_are_bit_identical(
+    taichi_f64, monkeypatch, build, chunk_size, reduce
+):
+    """The reference takes the arrays of the run that has grown them, and compiles nothing."""
+    monkeypatch.setattr(state_cache, "_kept", [])
+    scene = build(chunk_size) if chunk_size else build()
+    with monkeypatch.context() as patch:
+        reduce(patch)
+        grown, growth_count = run_and_sample(scene)
+        assert growth_count > 0
+    reference, growth_count = run_and_sample(scene)
+    assert growth_count == 0
+    assert max(snapshot.totals["contact_count"] for snapshot in reference) > 40
+    for one, other in zip(grown, reference, strict=True):
+        assert one.totals == other.totals
+        for part in ("particles", "contacts"):
+            for name, values in getattr(one, part).items():
+                np.testing.assert_array_equal(values, getattr(other, part)[name], err_msg=name)
+
+
+def test_capacities_are_rounded_up_in_steps_of_a_quarter():
+    rounded = [capacities.rounded_capacity(needed, 100) for needed in (0, 100, 101, 126, 1000)]
+    assert rounded == [100, 100, 125, 156, 1151]
+
+
+def end_of_gas(as_on_gpu, free_memory=None, largest_dispatch=dispatch.LARGEST_DISPATCH):
+    """Digest of all arrays and totals of the periodic gas, and numbers of steps and rebuilds.
+
+    free_memory:       bytes of the GPU, on which neighbor lists grow from one entry; None: they do not grow
+    largest_dispatch:  largest number of threads of a loop
+    """
+    dispatch.LARGEST_DISPATCH = largest_dispatch
+    if as_on_gpu:
+        use_gpu_code_path()
+    if free_memory is not None:
+        Plan.list_capacity_per_segment = property(lambda plan: 1)
+        plan_module.MIN_LIST_ENTRIES = 1
+        gpu_stepper.free_device_memory = lambda arch: free_memory
+    os.chdir(tempfile.mkdtemp())
+    simulation = Simulation(SCENES["periodic"](os.getcwd()), threads=2)
+    simulation.run()
+    assert (len(simulation.engine.state._block._trees) > 3) == as_on_gpu
+    last = simulation.snapshot(contacts=True)
+    timing = simulation.engine.timing
+    assert (timing.growth_count > 0) == (free_memory is not None)
+    arrays = [*last.particles.values(), *last.contacts.values(), np.array(list(last.totals.values()))]
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
+    return digest, timing.step_count, timing.rebuild_count
 
 
 @pytest.mark.slow
-def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkeypatch, separate_states):
-    """The list capacity suffices, but at first only one history entry per chunk can be saved."""
-    scene = compressed_bed(16)
-    reference, reference_run = run_and_sample(scene)
-    monkeypatch.setattr(state_cache, "_kept", [])
-    planned = reference_run.plan.capacities
-    monkeypatch.setattr(capacities, "HISTORY_SHARE", (planned.segments + 0.5) / planned.list_entries)
-    monkeypatch.setattr(capacities, "SPARE", 0)
-    assert plan_for(scene).capacities.saved_entries_per_segment == 1
-    grown, growing_run = run_and_sample(scene)
-    assert growing_run.engine.timing.growth_count > 0
-    for name in ARRAYS:
-        np.testing.assert_array_equal(grown[-1].particles[name], reference[-1].particles[name])
-
-
-@pytest.mark.parametrize(("needed", "expected"), [(0, 100), (100, 100), (101, 125), (126, 156), (1000, 1151)])
-def test_capacities_are_rounded_up_in_steps_of_a_quarter(needed, expected):
-    assert capacities.rounded_capacity(needed, 100) == expected
-
-
-def test_cell_grid_respects_the_cell_limit_for_any_extent(taichi_f64):
-    grid = falling_particle_grid()
-    for extent in (1.0, 1e6, 1e30):
-        for side in (1e-3, 1e-30):
-            *sides, cells_x, cells_y, cells_z = grid(extent, side, 8192)
-            cells = np.array([cells_x, cells_y, cells_z])
-            assert 1 <= np.prod(np.ceil(cells / BLOCK_SIDE)) * BLOCK_SIDE**3 <= 8192
-            assert np.min(np.multiply(sides, cells)) >= extent
-
-
-def falling_particle_grid():
-    """Function (extent [m], side [m], cell limit): sides and cells of the grid over a cube in an expanding
-    domain."""
-    domain = {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "expand"}
-    state = prepared_simulation(
-        build_scene({"ball": particle_group([[0.0] * 3])}, domain=domain)
-    ).engine.state
-    grids = CellGrids(state)
-
-    @ti.kernel
-    def lay(extent: ti.f64, side: ti.f64, limit: ti.i32) -> ti.types.vector(6, ti.f64):
-        _low, sides, cells = grids.over(
-            ti.Vector.zero(ti.f64, 3), extent * ti.Vector.one(ti.f64, 3), side, limit
-        )
-        return ti.Vector([sides[0], sides[1], sides[2], cells[0], cells[1], cells[2]], dt=ti.f64)
-
-    return lambda extent, side, limit: lay(extent, side, limit).to_list()
+def test_neighbor_lists_grow_on_a_gpu_without_changing_a_bit():
+    """On the device, with dispatches of 7 threads, of which each has several of the 64 particles, and over the
+    host: all fields have 1.4 MB, so that old and new ones do not fit into 1 MiB in addition."""
+    expected = in_subprocess(end_of_gas, False)
+    assert in_subprocess(end_of_gas, True, 2**40, 7, seconds=600) == expected
+    assert in_subprocess(end_of_gas, True, 2**20, seconds=600) == expected
