@@ -20,13 +20,13 @@ ROOM, HOT = 293.15, 400.0
 @pytest.fixture
 def with_temperature(monkeypatch):
     """The table with a temperature, a charge (the fourth scalar real) and an integer property."""
-    entry = fields.FieldSpec(
-        "temperature", "T", "K", "temperature of the particle", dtype="real", default=ROOM
-    )
-    charge = fields.FieldSpec("charge", "q", "C", "electric charge", dtype="real")
-    count = fields.FieldSpec("visits", "", "1", "number of visits", file_type="int32", dtype="i32", default=3)
-    for spec in (entry, charge, count):
-        monkeypatch.setitem(fields._PARTICLE_FIELDS, spec.name, spec)
+    for name, more in {
+        "temperature": {"dtype": "real", "default": ROOM},
+        "charge": {"dtype": "real"},
+        "visits": {"file_type": "int32", "dtype": "i32", "default": 3},
+    }.items():
+        spec = fields.FieldSpec(name, "", "1", f"{name} of the particle", **more)
+        monkeypatch.setitem(fields._PARTICLE_FIELDS, name, spec)
 
 
 def rain_on_a_lattice():
@@ -44,54 +44,40 @@ def rain_on_a_lattice():
     )  # fmt: skip
 
 
-def expected_temperature(ids, initial_count):
-    """HOT + id for the particles that were heated, the default for those inserted later."""
-    return np.where(ids < initial_count, HOT + ids, ROOM)
-
-
 def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_temperature, tmp_path):
+    """HOT + id for the particles that were heated, the default for those inserted later."""
     scene = rain_on_a_lattice()
     simulation = Simulation(scene, out=tmp_path / "run")
     state = simulation.engine.state
-    initial_count = simulation.engine.state.count
-    found = copy_to_host(state, ("id", "temperature", "visits"))
-    assert set(found["temperature"]) == {ROOM} and set(found["visits"]) == {3}, "defaults at insertion"
-    table = particle_table(state, ("temperature", "charge"))
-    table.put(np.arange(initial_count), {"temperature": HOT + found["id"], "charge": found["id"]})
+    initial = state.count
 
+    def assert_carried(found):
+        expected = np.where(found["id"] < initial, HOT + found["id"], ROOM)
+        np.testing.assert_allclose(found["temperature"], expected, rtol=1e-6)
+
+    before = copy_to_host(state, ("id", "temperature", "visits"))
+    assert set(before["temperature"]) == {ROOM} and set(before["visits"]) == {3}, "defaults at insertion"
+    heated = {"temperature": HOT + before["id"], "charge": before["id"]}
+    particle_table(state, ("temperature", "charge")).put(np.arange(initial), heated)
     simulation.run(0.012)
-    before = found["id"]
     now = copy_to_host(state, ("id", "temperature", "charge"))
-    assert simulation.engine.timing.rebuild_count > 1 and not np.array_equal(before, now["id"][: len(before)])
-    assert now["id"].max() >= initial_count, "particles were inserted during the run"
-    np.testing.assert_array_equal(now["temperature"], expected_temperature(now["id"], initial_count))
-    np.testing.assert_array_equal(now["charge"], np.where(now["id"] < initial_count, now["id"], 0))
-
-    particles = simulation.snapshot().particles
-    np.testing.assert_array_equal(
-        particles["temperature"], expected_temperature(particles["id"], initial_count)
-    )
+    assert not np.array_equal(before["id"], now["id"][:initial]), "they were sorted"
+    assert now["id"].max() >= initial, "particles were inserted during the run"
+    np.testing.assert_array_equal(now["charge"], np.where(now["id"] < initial, now["id"], 0))
     frame = meshio.read(sorted((tmp_path / "run").glob("particles_*.vtu"))[-1]).point_data
-    np.testing.assert_allclose(
-        frame["temperature"], expected_temperature(frame["id"], initial_count), rtol=1e-6
-    )
-    assert set(frame["visits"]) == {3}
-    simulation.free()
-
     checkpoint, _ = newest_checkpoint(tmp_path / "run")
-    saved = checkpoint.saved["engine"]["particles"]
-    np.testing.assert_array_equal(saved["temperature"], expected_temperature(saved["id"], initial_count))
+    for found in (now, simulation.snapshot().particles, frame, checkpoint.saved["engine"]["particles"]):
+        assert_carried(found)
+    simulation.free()
     resumed = Simulation(scene, out=tmp_path / "run", resume=checkpoint)
     restored = resumed.snapshot().particles
-    np.testing.assert_array_equal(
-        restored["temperature"], expected_temperature(restored["id"], initial_count)
-    )
-    assert set(restored["visits"]) == {3}
+    assert_carried(restored)
+    assert set(restored["visits"]) == set(frame["visits"]) == {3}
     resumed.free()
 
 
 @pytest.mark.parametrize(("precision", "size"), [("f64", 8 + 8 + 4), ("mixed", 4 + 4 + 4)])
-def test_added_property_is_counted_in_the_memory_estimate(monkeypatch, precision, size, request):
+def test_added_property_is_counted_in_the_memory_estimate(precision, size, request):
     plan = plan_for(build_scene({"balls": particle_group([[0.0, 0.0, 0.02 * k] for k in range(5)])}))
     before = estimate_memory(plan, precision)
     request.getfixturevalue("with_temperature")
@@ -101,10 +87,10 @@ def test_added_property_is_counted_in_the_memory_estimate(monkeypatch, precision
 
 
 def test_property_with_a_condition_exists_only_if_the_plan_needs_it(monkeypatch):
-    entry = fields.FieldSpec(
-        "charge", "q", "C", "charge", dtype="real", condition=lambda features: features.outlets
+    condition = {"dtype": "real", "condition": lambda features: features.outlets}
+    monkeypatch.setitem(
+        fields._PARTICLE_FIELDS, "charge", fields.FieldSpec("charge", "q", "C", "", **condition)
     )
-    monkeypatch.setitem(fields._PARTICLE_FIELDS, "charge", entry)
     out = {"out": {"half_space": {"point": [0, 0, -0.5], "normal": [0, 0, -1]}}}
     for outlets in ({}, out):
         plan = plan_for(build_scene({"ball": particle_group([[0.0] * 3])}, outlets=outlets))

@@ -2,11 +2,8 @@
 
 import numpy as np
 import pytest
-from engine.test_snapshot_purity import assert_equal
 from scene_builders import assert_lists_hold, build_scene, particle_group, prepared_simulation, run_to_end
 from sheared_scenes import RATE, SIZE, sheared_gas
-
-from granflow.simulation import Simulation
 
 IMAGE_VELOCITY = RATE * SIZE
 """Velocity of the image above, relative to its particle [m/s]."""
@@ -81,18 +78,6 @@ def test_result_does_not_depend_on_the_position_of_the_boundary(taichi_f64):
         assert abs(totals["energy_error"]) < 1e-3
     slope = np.polyfit(low.particles["position"][:, 1], low.particles["velocity"][:, 0], 1)[0]
     assert slope == pytest.approx(RATE, rel=0.15)
-
-
-def test_sheared_run_with_additional_snapshots_is_bit_identical(taichi_f64):
-    ends = []
-    for times in (0, 2):
-        with Simulation(sheared_gas()) as simulation:
-            for _ in range(8):
-                simulation.run(simulation.time + 1e-3)
-                for _ in range(times):
-                    simulation.snapshot(contacts=True)
-            ends.append(simulation.snapshot(contacts=True))
-    assert_equal(*ends)
 
 
 @pytest.mark.parametrize(("sizes", "classes"), [((0.0076, 0.0076), "none"), ((0.004, 0.016), "2")])
