@@ -28,13 +28,10 @@ LOW, HIGH = np.array([-0.1, -0.2, -1.0]), np.array([0.4, 0.5, 0.6])
 
 
 def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
-    """Name of the limit that a state exceeds (None: none), positions and velocities by id; kernels are
-    reused."""
+    """Name of the limit that a state exceeds (None: none), positions and velocities by id; kernels are reused."""
     state = simulation.engine.state
     state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
-    state.count = (
-        simulation.plan.particle_capacity
-    )  # the previous sort moved a particle outside the domain to the end
+    state.count = simulation.plan.particle_capacity  # a sort moves a particle outside the domain to the end
     for index, number in enumerate(state.particles.id.to_numpy()[: state.count]):
         if positions is not None:
             state.particles.position[index] = list(positions[number])
@@ -46,12 +43,8 @@ def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
     return ABORT_REASONS.get(simulation.engine.stepper.abort_code)
 
 
-# ---------------------------------------------------------------- contacts
-
-
 def touching(pair=0.01, floor=0.01, mesh=0.01):
-    """Positions of two particles in contact, one on a plane, one on a mesh; overlaps relative to the smaller
-    radius."""
+    """Positions of two particles in contact, one on a plane, one on a mesh; overlaps over the smaller radius."""
     return np.array([
         [0.0, 0.0, 0.3],
         [RADIUS + SMALLER * (1 - pair), 0.0, 0.3],
@@ -70,43 +63,37 @@ def contacts(request, taichi_f64, tmp_path_factory):
         f"g{n}": particle_group(at, 2 * radius)
         for n, (at, radius) in enumerate(zip(touching(), radii, strict=True))
     }
-    walls = {
-        "floor": plane([0, 0, FLOOR], [0, 0, 1]), "sheet": {"shape": "mesh", "file": "sheet.ply", "material": "glass"}
-    }  # fmt: skip
+    mesh = {"shape": "mesh", "file": "sheet.ply", "material": "glass"}
+    walls = {"floor": plane([0, 0, FLOOR], [0, 0, 1]), "sheet": mesh}
     domain = {"min": LOW.tolist(), "max": HIGH.tolist(), "on_exit": "error"}
+    scene = build_scene(groups, walls, domain=domain, numerics={"chunk_size": request.param})
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        simulation = prepared_simulation(
-            build_scene(groups, walls=walls, domain=domain, numerics={"chunk_size": request.param})
-        )
+        simulation = prepared_simulation(scene)
     assert (simulation.engine.state.batch is not None) == (request.param > 1)
     yield simulation
     simulation.free()
 
 
-@pytest.mark.parametrize("contact", ["pair", "floor", "mesh"])
-def test_the_overlap_limit_holds_for_each_kind_of_contact(contacts, contact):
+def test_the_overlap_limit_holds_for_each_kind_of_contact(contacts):
     """The limit is a fraction of the smaller radius."""
     limit = contacts.plan.scene.numerics.intended_overlap
-    assert limit_exceeded(contacts, touching(**{contact: limit * (1 - NEAR)})) is None
-    assert limit_exceeded(contacts, touching(**{contact: limit * (1 + NEAR)})) == "overlap"
+    for contact in ("pair", "floor", "mesh"):
+        assert limit_exceeded(contacts, touching(**{contact: limit * (1 - NEAR)})) is None
+        assert limit_exceeded(contacts, touching(**{contact: limit * (1 + NEAR)})) == "overlap"
 
 
-@pytest.mark.parametrize("side", [LOW, HIGH], ids=["low", "high"])
-def test_a_center_outside_any_face_of_the_domain_aborts_the_run(contacts, side):
-    """The corners of the domain are clear of the walls: the mesh extends from -0.5 m to 0.5 m."""
+def test_a_center_outside_any_face_of_the_domain_aborts_the_run(contacts):
+    """The corners of the domain are clear of the walls: the mesh extends from -0.5 m to 0.5 m; a center below the
+    domain is below the floor."""
     middle = 0.5 * (LOW + HIGH)
-    positions = touching()
-    for axis in (None, 0, 1, 2):
-        inside = np.array([1 - NEAR if axis != each else 1 + NEAR for each in range(3)])
-        positions[0] = middle + inside * (side - middle)
-        positions[0][2] = middle[2] if axis != 2 else positions[0][2]
-        if axis == 2 and side is LOW:
-            continue  # below the floor
-        assert limit_exceeded(contacts, positions) == (None if axis is None else "left_domain"), axis
-
-
-# ---------------------------------------------------------------- displacement
+    for side, axes in ((LOW, (None, 0, 1)), (HIGH, (None, 0, 1, 2))):
+        for axis in axes:
+            inside = np.array([1 - NEAR if axis != each else 1 + NEAR for each in range(3)])
+            positions = touching()
+            positions[0] = middle + inside * (side - middle)
+            positions[0][2] = positions[0][2] if axis == 2 else middle[2]
+            assert limit_exceeded(contacts, positions) == (None if axis is None else "left_domain"), axis
 
 
 @pytest.fixture(scope="module")
@@ -122,24 +109,33 @@ def free_particle(taichi_f64):
     simulation.free()
 
 
-def after_one_step(free_particle, displacement):
-    """Limit that a step of `displacement` [m] exceeds, and whether the step requests a neighbor-list
-    rebuild."""
+def after_one_step(free_particle, displacement, of_wall=False):
+    """Limit that a step exceeds in which the particle or the wall moves by `displacement` [m], and whether the step
+    requests a neighbor-list rebuild."""
     engine = free_particle.engine
-    limit_exceeded(
-        free_particle, np.zeros((1, 3)), np.zeros((1, 3))
-    )  # the reach is that of a particle at rest
-    engine.state.particles.velocity[0] = [0.0, displacement / STEP, 0.0]
+    limit_exceeded(free_particle, np.zeros((1, 3)), np.zeros((1, 3)))  # the reach of a particle at rest
+    if of_wall:
+        engine.state.wall_dynamics.velocity[0] = displacement / STEP
+    else:
+        engine.state.particles.velocity[0] = [0.0, displacement / STEP, 0.0]
     rebuilds = engine.timing.rebuild_count
     engine.advance(1)
+    engine.state.wall_dynamics.velocity[0] = 0.0
     return ABORT_REASONS.get(engine.stepper.abort_code), engine.timing.rebuild_count > rebuilds
 
 
-def test_a_displacement_of_half_a_skin_requests_a_rebuild(free_particle):
-    """If two particles approach by more than half a skin each, they can touch before the list contains
-    them."""
-    assert after_one_step(free_particle, 0.5 * SKIN * (1 - NEAR)) == (None, False)
-    assert after_one_step(free_particle, 0.5 * SKIN * (1 + NEAR)) == (None, True)
+@pytest.mark.parametrize("of_wall", [False, True])
+def test_displacements_of_one_step_request_a_rebuild_and_abort_the_run(free_particle, of_wall):
+    """If two particles approach by more than half a skin each, they can touch before the list contains them; a
+    fifth of the radius aborts the run."""
+    for displacement, expected in (
+        (0.5 * SKIN * (1 - NEAR), (None, False)),
+        (0.5 * SKIN * (1 + NEAR), (None, True)),
+        (STEP_LIMIT * (1 - NEAR), (None, True)),
+    ):
+        assert after_one_step(free_particle, displacement, of_wall) == expected
+    name = "wall" if of_wall else "displacement"
+    assert after_one_step(free_particle, STEP_LIMIT * (1 + NEAR), of_wall)[0] == name
 
 
 def test_the_reach_of_a_fast_particle_is_longer_by_a_number_of_steps(free_particle):
@@ -155,31 +151,6 @@ def test_the_reach_of_a_fast_particle_is_longer_by_a_number_of_steps(free_partic
     assert engine.timing.rebuild_count == rebuilds + 1
 
 
-def test_a_displacement_of_a_fifth_of_the_radius_in_one_step_aborts_the_run(free_particle):
-    assert after_one_step(free_particle, STEP_LIMIT * (1 - NEAR)) == (None, True)
-    assert after_one_step(free_particle, STEP_LIMIT * (1 + NEAR))[0] == "displacement"
-
-
-@pytest.mark.parametrize(
-    ("speed", "limit"),
-    [(np.nan, "not_finite"), (np.inf, "displacement"), (-np.inf, "displacement"), (0.0, None)],
-)
-def test_a_position_that_is_not_finite_aborts_the_run(free_particle, speed, limit):
-    assert after_one_step(free_particle, STEP * speed)[0] == limit
-
-
-def test_the_displacement_of_a_free_wall_has_the_same_limits(free_particle):
-    """A free wall without forces keeps its velocity, which is set before each step."""
-    engine = free_particle.engine
-
-    def after(displacement):
-        engine.state.wall_dynamics.velocity[0] = displacement / STEP
-        rebuilds = engine.timing.rebuild_count + 1  # that of the refresh
-        still = np.zeros((1, 3))
-        return limit_exceeded(free_particle, still, still, steps=1), engine.timing.rebuild_count > rebuilds
-
-    assert after(0.5 * SKIN * (1 - NEAR)) == (None, False)
-    assert after(0.5 * SKIN * (1 + NEAR)) == (None, True)
-    assert after(STEP_LIMIT * (1 - NEAR)) == (None, True)
-    assert after(STEP_LIMIT * (1 + NEAR))[0] == "wall"
-    engine.state.wall_dynamics.velocity[0] = 0.0
+def test_a_position_that_is_not_finite_aborts_the_run(free_particle):
+    for speed, limit in ((np.nan, "not_finite"), (-np.inf, "displacement"), (0.0, None)):
+        assert after_one_step(free_particle, STEP * speed)[0] == limit

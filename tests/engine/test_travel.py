@@ -9,7 +9,6 @@ from scene_builders import build_scene, particle_group
 
 from granflow.errors import RunError, SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.time_step import STEP_SHARE
 from granflow.simulation import Simulation
 
 RADIUS, SHARE = 0.005, 0.2
@@ -32,20 +31,19 @@ THIN_WALL = {
 }
 
 
-def launched(velocity, group=None, walls=None, **parts):
+def launched(velocity, group, walls=None, **parts):
     """A simulation that sets the velocities of its particles after planning, so that the plan does not check
     them."""
-    group = group or particle_group([[0.0, 0.0, 0.5]])
     simulation = Simulation(build_scene({"fast": group}, walls=walls, **(FAST | parts)))
     simulation.particles.velocity[:] = velocity
     return simulation
 
 
-def abort_message(simulation, until=None):
+def abort_message(simulation):
     """Message of the abort, or an empty string."""
     with simulation:
         try:
-            simulation.run(until)
+            simulation.run()
         except RunError as error:
             return str(error)
     return ""
@@ -85,16 +83,12 @@ def test_displacement_limit_and_its_message(taichi_f64, thin_walls):
         r"\(0.2 of the smallest radius 0.005 m\): beyond it contacts can be missed.",
         above,
     )
-    assert "numerics.skin" not in above
     suggested = float(above.partition("Lower run.time_step to ")[2].split()[0])
     assert suggested * 1.001 * FASTEST < SHARE * RADIUS
+    numerics = {"skin": 0.03, "chunk_size": 16}
     above_sheet = particle_group([[0.0, 0.0, 0.012]])
-    across = abort_message(
-        launched(
-            [0, 0, -2500.0], above_sheet, {"sheet": THIN_WALL}, numerics={"skin": 0.03, "chunk_size": 16}
-        )
-    )
-    assert "moves 0.025 m in one step" in across
+    crossing = launched([0, 0, -2500.0], above_sheet, {"sheet": THIN_WALL}, numerics=numerics)
+    assert "moves 0.025 m in one step" in abort_message(crossing)
 
 
 def test_fast_particles_do_not_cross_thin_walls(taichi_f64, thin_walls):
@@ -113,63 +107,43 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, thin_walls):
     assert np.all(np.sign(positions[:, 2]) * last["velocity"][:, 2] > 0.0)
 
 
+VIBRATION = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": FASTEST / 628.3, "frequency": 100.0}
+ROTATION = {"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0]}
+TRANSLATION = {"kind": "translation"}
+PADDLE = r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s"
 LIMITS = {
-    "velocity": (
-        lambda share: {"group": particle_group([[0, 0, 0.1]], velocity=[0, 0, -share * FASTEST])},
-        "particles.ball starts with 100 m/s, which is 0.001 m per step",
+    "particle": (
+        None,
+        "velocity",
+        [0, 0, -FASTEST],
+        "particles.ball starts with 100 m/s, which is 0.001 m per",
     ),
-    "rotation": (  # the surface moves w R dt per step: 0.2 R at w = 0.2 / 10 us = 20 000 rad/s
-        lambda share: {"group": particle_group([[0, 0, 0.1]], angular_velocity=[0, share * 20_000.0, 0])},
-        "starts with 2e.04 rad/s, which is 0.2 rad per step of 1e-05 s",
+    # the surface moves w R dt per step: 0.2 R at w = 0.2 / 10 us = 20 000 rad/s
+    "spinning particle": (
+        None,
+        "angular_velocity",
+        [0, 20_000.0, 0],
+        "2e.04 rad/s, which is 0.2 rad per step of",
     ),
-    "translation": (
-        lambda share: {"motion": {"kind": "translation", "velocity": [0, 0, share * FASTEST]}},
-        r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s",
-    ),
-    "vibration": (
-        lambda share: {
-            "motion": {
-                "kind": "vibration", "direction": [0, 0, 1], "amplitude": share * FASTEST / 628.3, "frequency": 100.0
-            }
-        },
-        r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s",
-    ),
-    "rotating paddle": (  # it reaches 0.5 m
-        lambda share: {
-            "motion": {
-                "kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": 2.0 * share * FASTEST
-            }
-        },
-        r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s",
-    ),
-    "half of a thin skin": (  # above it, neighbors are missing in the first step after a rebuild
-        lambda share: {
-            "motion": {"kind": "translation", "velocity": [0, 0, 0.5 * share * FASTEST]}, "numerics": {"skin": 0.001, "chunk_size": 16}
-        },
-        "above the limit of 0.0005 m",
-    ),
-    "sheared images": (
-        lambda share: {
-            "domain": {
-                "min": [0] * 3, "max": [0.1] * 3, "periodic": ["x", "y"], "on_exit": "error",
-                "lees_edwards": {"flow": "x", "gradient": "y", "rate": share * FASTEST / 0.1},
-            }
-        },
-        "domain.lees_edwards moves the images at 100 m/s, which is 0.001 m per step",
-    ),
-}  # fmt: skip
-"""Parts of a scene at a share of a limit, and the message above it."""
+    "translation": (TRANSLATION, "velocity", [0, 0, FASTEST], PADDLE),
+    "vibration": (VIBRATION, "amplitude", FASTEST / 628.3, PADDLE),
+    "rotating paddle, which reaches 0.5 m": (ROTATION, "angular_velocity", 2.0 * FASTEST, PADDLE),
+    "half of a thin skin": (TRANSLATION, "velocity", [0, 0, 0.5 * FASTEST], "above the limit of 0.0005 m"),
+}
+"""Motion of a wall (None: of a particle), the key that sets its speed, its value at the limit, and the message."""
 
 
 @pytest.mark.parametrize("name", LIMITS)
 def test_motion_above_the_limit_per_step_is_refused_by_the_plan(name):
-    parts_at, message = LIMITS[name]
+    """With a thin skin, neighbors are missing in the first step after a rebuild."""
+    motion, key, value, message = LIMITS[name]
 
     def plan_at(share):
-        parts = FAST | parts_at(share)
-        group, motion = parts.pop("group", particle_group([[0.05] * 3])), parts.pop("motion", None)
-        walls = {"paddle": THIN_WALL | {"motion": [motion]}} if motion else None
-        return plan_for(build_scene({"ball": group}, walls=walls, **parts))
+        moving = {key: (share * np.array(value)).tolist()}
+        ball = particle_group([[0.05] * 3], **({} if motion else moving))
+        walls = {"paddle": THIN_WALL | {"motion": [motion | moving]}} if motion else None
+        skin = {"numerics": {"skin": 0.001, "chunk_size": 16}} if "skin" in name else {}
+        return plan_for(build_scene({"ball": ball}, walls, **(FAST | skin)))
 
     plan_at(0.999)
     with pytest.raises(SceneError, match=message):
@@ -178,18 +152,27 @@ def test_motion_above_the_limit_per_step_is_refused_by_the_plan(name):
 
 def test_the_chosen_step_respects_the_limit_at_the_planned_velocity():
     """A soft particle: its contacts at 100 m/s allow a displacement of 6 mm per step."""
-    soft = {"materials": {"glass": {"young_modulus": 1e3, "poisson_ratio": 0.25, "density": 2500.0}}}
-    plan = plan_for(
-        build_scene(
-            {"ball": particle_group([[0.0] * 3])}, run={"duration": 1.0, "velocity_max": 100.0}, **soft
-        )
-    )
+    soft = {"young_modulus": 1e3, "poisson_ratio": 0.25, "density": 2500.0}
+    ball, run = particle_group([[0.0] * 3]), {"duration": 1.0, "velocity_max": 100.0}
+    plan = plan_for(build_scene({"ball": ball}, materials={"glass": soft}, run=run))
     assert plan.time_step == pytest.approx(SHARE * RADIUS / 100.0, rel=1e-12)
     assert "0.2 of the smallest radius" in plan.step.limited_by
 
 
-def test_the_overlap_limit_stays_below_one_minus_the_limit_per_step():
-    assert STEP_SHARE == pytest.approx(SHARE)
-    build_scene({"ball": particle_group([[0.0] * 3])}, numerics={"max_overlap": 1.0 - SHARE})
+def test_images_of_a_sheared_box_and_the_overlap_limit_respect_the_limit_per_step():
+    shear = {"flow": "x", "gradient": "y", "rate": 1.001 * FASTEST / 0.1}
+    domain = {
+        "min": [0] * 3,
+        "max": [0.1] * 3,
+        "periodic": ["x", "y"],
+        "on_exit": "error",
+        "lees_edwards": shear,
+    }
+    ball = {"ball": particle_group([[0.05] * 3])}
+    with pytest.raises(
+        SceneError, match="domain.lees_edwards moves the images at 100 m/s, which is 0.001 m per"
+    ):
+        plan_for(build_scene(ball, domain=domain, **FAST))
+    build_scene(ball, numerics={"max_overlap": 1.0 - SHARE})
     with pytest.raises(ValueError, match="an overlap limit must be above 0 and at most 0.8"):
-        build_scene({"ball": particle_group([[0.0] * 3])}, numerics={"max_overlap": 0.801})
+        build_scene(ball, numerics={"max_overlap": 0.801})
