@@ -20,7 +20,6 @@ from scene_builders import DASHPOTS, LIQUID, SOFT, SPRINGS, box, build_scene, mo
 from sheared_scenes import sheared_gas
 
 from granflow.load import Scene
-from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
 FILES = tempfile.TemporaryDirectory()
@@ -243,30 +242,6 @@ def periodic() -> Scene:
     )  # fmt: skip
 
 
-def equal_spheres() -> Scene:
-    """A lattice and rain of equal spheres on a vibrating floor, an outlet, fields of equal radius and mass."""
-    region = {"box": {"min": [0.002, 0.002, 0.046], "max": [0.04, 0.04, 0.06]}}
-    rain = {
-        "material": "glass", "count": 30, "diameter": 0.006, "velocity": [0.0, 0.0, -2.0],
-        "insert": {"kind": "rain", "region": region, "rate": 8000.0},
-    }  # fmt: skip
-    walls: dict[str, Any] = box(0.042)
-    del walls["high_z"], walls["high_x"]
-    shaken = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 3e-4, "frequency": 300.0}
-    walls["low_z"]["motion"] = shaken
-    out = {"side": {"box": {"min": [0.045, -0.01, -0.01], "max": [0.07, 0.06, 0.07]}}}
-    domain = {"min": [-0.01] * 3, "max": [0.07] * 3, "on_exit": "delete"}
-    scene = build_scene(
-        {"lattice": moving_lattice((6, 6, 6), largest=0.0062, speed=1.0) | {"diameter": 0.006}, "rain": rain},
-        walls, domain=domain, outlets=out,
-        rolling="epsd", pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
-        numerics={"chunk_size": 32, "skin": 2e-4}, run={"duration": 6e-3, "velocity_max": 4.0, "time_step": 2e-6},
-        output={"interval": 1e-3, "energy_budget": True, "wall_forces": True, "checkpoint": {"interval": 5e-4, "keep": 100}},
-    )  # fmt: skip
-    assert plan_for(scene).features.one_size
-    return scene
-
-
 def with_rods(scene: Scene, **more) -> Scene:
     """The poured bed with rods of three spheres that fall onto the lattice; `more`: keys of their group."""
     sites = 0.0085 * np.argwhere(np.ones((4, 4, 1))) + [0.014, 0.005, 0.0436]
@@ -302,7 +277,6 @@ QUICK = {
 
 SLOW = {
     "disturbed": Row(lambda: complex_scene(0.009, outlets=SIDE), ("wall_work",), disturb, on_ranks=False),
-    "equal": Row(equal_spheres, ("outlet_count.side", "wall_work", "friction_dissipation", "deleted_count")),
     "periodic": Row(periodic, ("contact_count", "wall_work")),
     "sheared": Row(
         lambda: sheared_gas(duration=0.012, sizes=(0.002, 0.0065), output={"interval": 2e-3, "checkpoint": {"interval": 1e-3, "keep": 100}}), ("boundary_work",)

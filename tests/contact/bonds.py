@@ -1,17 +1,14 @@
 """Evaluation of cohesion models along given distances of one contact, without a normal model."""
 
 from dataclasses import dataclass
-from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
-from contact.surface_paths import SurfaceLaws
+from contact.surface_paths import NUMBERS, VECTORS, evaluate_surface
 
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
-from granflow.engine.pair import ModelStructs
-from granflow.kernel_language import ti
 
 RADIUS, MODULUS = 1e-4, 1e7
 """Effective radius [m] and modulus [Pa] of a soft particle, to which JKR applies."""
@@ -49,48 +46,10 @@ class BondResult:
 def evaluate_bonds(law, pair, overlap, first=0.0):
     """Attraction along overlaps (contacts, steps) [m], which may be negative; `first`: first history field
     before."""
-    found = [np.zeros(overlap.shape) for _ in range(3)]
-    history = np.zeros((*overlap.shape, max(law.history_count, 1)))
-    history[:, 0, 0] = first
-    row = np.array(law.pair_constants(pair)), np.array(list(law.parameters.values()) or [0.0])
-    bond_kernel(law)(*row, np.ascontiguousarray(overlap), *found, history)
-    return BondResult(*found, history)
-
-
-@cache
-def bond_kernel(law):
-    """A kernel that evaluates a cohesion model along overlaps."""
-    laws = SurfaceLaws(law)
-    size = max(law.history_count, 1)
-    structs = ModelStructs(laws)
-    counts = (len(law.constant_names), max(len(law.parameters), 1))
-    has_history = law.history_count > 0
-    row, square, cube = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3))
-
-    @ti.func
-    def vector(numbers: ti.template(), count: ti.template()):
-        return ti.Vector([numbers[k] for k in ti.static(range(count))])
-
-    @ti.kernel
-    def evaluate(pair: row, parameters: row, overlap: square, attraction: square, stored: square, lost: square,
-                 history: cube):  # fmt: skip
-        for i in range(overlap.shape[0]):
-            state = ti.Vector.zero(ti.f64, size)
-            state[0] = history[i, 0, 0]
-            constants = structs.constants(vector(pair, counts[0]), vector(parameters, counts[1])).surface
-            for s in range(overlap.shape[1]):
-                contact = ti.Struct(
-                    radius_eff=RADIUS, mass_eff=1.0, time_step=1.0, overlap=overlap[i, s], overlap_rate=0.0
-                )
-                force, history_new = law.force(constants, contact, structs.history("surface", state))
-                if ti.static(has_history):
-                    state = structs.vector("surface", history_new)
-                attraction[i, s], stored[i, s] = force, law.stored_energy(constants, contact, history_new)
-                lost[i, s] = law.lost_energy(constants, contact, history_new)
-                for k in ti.static(range(size)):
-                    history[i, s, k] = state[k]
-
-    return evaluate
+    numbers = dict.fromkeys(NUMBERS, 0.0) | {"radius_eff": RADIUS, "mass_eff": 1.0, "overlap": overlap}
+    vectors = dict.fromkeys(VECTORS, np.zeros((*overlap.shape, 3)))
+    found = evaluate_surface(law, pair, numbers | {"time_step": 1.0}, vectors, first)
+    return BondResult(found.force[..., 0], found.stored, found.loss, found.history)
 
 
 def evaluate_reference_bonds(law, pair, overlap, **first):

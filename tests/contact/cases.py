@@ -1,8 +1,7 @@
 """Normal models of the catalog with their settings, and the evaluation of contacts along given overlap
 paths."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -36,6 +35,25 @@ class Units:
     def velocity(self) -> float:
         return self.meter / self.second
 
+    def of(self, key) -> float:
+        """Value of the SI unit of an option, 1 for options that are not numbers with a unit."""
+        if key in ("value", "work_of_adhesion"):
+            return self.newton / self.meter
+        units = {"reference_velocity": self.velocity, "pull_off_force": self.newton}
+        return units.get(key, 1.0)
+
+
+def in_units(options, units):
+    """Options of a model or pair, with their numbers in other units."""
+    return {
+        key: in_units(value, units)
+        if isinstance(value, dict)
+        else value * units.of(key)
+        if isinstance(value, float)
+        else value
+        for key, value in options.items()
+    }
+
 
 SI = Units()
 MODULUS, SHEAR_MODULUS = 4e7, 1.2e7
@@ -47,186 +65,124 @@ COHESION = 5e4
 """Cohesion energy density [J/m3]: an attraction of 3.1 kN/m times the overlap, below a sixth of the 20 kN/m
 spring."""
 ANGLE = 0.5
+FIT = VelocityRestitution(1.2, 0.54, 2.0)
+"""A restitution that decreases with the impact velocity."""
 
 
-def fit(units):
-    """A restitution that decreases with the impact velocity."""
-    return VelocityRestitution(1.2, 0.54, 2.0 * units.velocity)
-
-
-def number(e):
-    """A constant restitution."""
-    return lambda units: e
-
-
-def no_restitution(units):
-    """No restitution: it follows from the yield strength of the material."""
-
-
-def no_properties(units):
-    """No properties of pairs other than those of all cases."""
-    return {}
-
-
-def adhesion(plasticity, work_of_adhesion, pull_off_force=0.0):
-    """Properties of pairs of eepa: work of adhesion [J/m2], pull-off force [N]."""
-    return lambda units: {
-        "plasticity": plasticity,
-        "work_of_adhesion": work_of_adhesion * units.newton / units.meter,
-        "pull_off_force": pull_off_force * units.newton,
-    }
-
-
-def pair_of(restitution, units, properties=no_properties):
-    """The pair material of a case in the given units."""
-    yield_strength = YIELD_STRENGTH * units.pascal if restitution is no_restitution else None
-    elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
-    options = {"cohesion_energy_density": COHESION * units.pascal} | properties(units)
-    return PairMaterial(*elastic, restitution(units), yield_strength=yield_strength, properties=options)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
-    """One normal model with its settings, in any units."""
+    """One normal model with its settings, in SI units; without restitution it follows from the yield strength."""
 
     name: str
-    build: Callable[[Units], ContactLaws]
-    restitution: Callable[[Units], float | VelocityRestitution | None]
+    model: str
+    restitution: float | VelocityRestitution | None
+    settings: dict = field(default_factory=dict)
+    properties: dict[str, float] = field(default_factory=dict)
+    """Properties of pairs other than those of all cases."""
     plastic: bool = False
     """Whether unloading differs from loading."""
     adhesive: bool = False
     """Whether the sjkr cohesion is added, which the closed forms of the normal model do not include."""
     pulls_off: bool = False
     """Whether the force at zero overlap is a constant attraction, whose energy is negative."""
-    properties: Callable[[Units], dict[str, float]] = no_properties
 
     def __str__(self) -> str:
         return self.name
 
     def pair(self, units=SI):
-        return pair_of(self.restitution, units, self.properties)
+        """The pair material in the given units."""
+        restitution = self.restitution
+        if isinstance(restitution, VelocityRestitution):
+            restitution = replace(restitution, limit_velocity=restitution.limit_velocity * units.velocity)
+        return PairMaterial(
+            MODULUS * units.pascal,
+            SHEAR_MODULUS * units.pascal,
+            restitution,
+            yield_strength=YIELD_STRENGTH * units.pascal if restitution is None else None,
+            properties={"cohesion_energy_density": COHESION * units.pascal}
+            | in_units(self.properties, units),
+        )
 
+    @cache  # noqa: B019
     def laws(self, units=SI):
-        return laws_of(self, units)
+        model = models("normal")[self.model]
+        given = model.options(**in_units(self.settings, units))
+        asked = ModelRequest(given, (self.pair(units),), units.velocity, ANGLE, energy_budget=True)
+        law = model.law.from_scene(asked)
+        return ContactLaws((law, Sjkr()) if self.adhesive else (law,))
 
     def law(self, units=SI):
         return self.laws(units).normal
 
 
-@cache
-def laws_of(case, units):
-    """The models of a case, built once per system of units."""
-    return case.build(units)
+def zhou(restitution_at, damping_ratio=0.0):
+    """Settings of zhou."""
+    return {"restitution_at": restitution_at, "damping_ratio": damping_ratio}
 
 
-def request(name, restitution, settings=lambda units: {}, properties=no_properties):
-    """A function that builds the model of that name with the settings of a scene."""
-
-    def build(units):
-        model = models("normal")[name]
-        pair = pair_of(restitution, units, properties)
-        given = model.options(**settings(units))
-        asked = ModelRequest(given, (pair,), units.velocity, ANGLE, energy_budget=True)
-        return ContactLaws((model.law.from_scene(asked),))
-
-    return build
-
-
-def spring(number=None, velocity=None):
-    """Settings of a linear spring: a stiffness [N/m], a reference velocity [m/s], or per contact."""
-    if number is not None:
-        return lambda units: {"stiffness": {"value": number * units.newton / units.meter}}
-    if velocity is not None:
-        return lambda units: {"stiffness": {"reference_velocity": velocity * units.velocity}}
-    return lambda units: {"stiffness": "onset"}
-
-
-def bilinear(stiffness, velocity=None):
-    """Settings of walton_braun; with a reference velocity [m/s] the restitution decreases with the impact
-    velocity."""
-
-    def settings(units):
-        unloading = "constant" if velocity is None else {"reference_velocity": velocity * units.velocity}
-        return stiffness(units) | {"unloading": unloading}
-
-    return settings
+def bilinear(stiffness, unloading="constant"):
+    """Settings of walton_braun."""
+    return {"stiffness": stiffness, "unloading": unloading}
 
 
 def plastic_to(depth, tension=0.0):
     """Settings of luding: the maximum plastic overlap is 2 R depth / (1 - e^2)."""
-    return lambda units: spring(2e4)(units) | {"plasticity_depth": depth, "tension": tension}
+    return {"stiffness": SPRING, "plasticity_depth": depth, "tension": tension}
 
 
-def eepa(chi, number=None):
-    """Settings of eepa: exponent of the adhesion branch, stiffness [N/m] for the exponent 1 of the overlap."""
-    spring_of = (lambda units: {"stiffness": "hertz"}) if number is None else spring(number)
-    return lambda units: spring_of(units) | {"adhesion_exponent": chi}
+def eepa(chi, stiffness="hertz"):
+    """Settings of eepa: exponent of the adhesion branch, stiffness."""
+    return {"stiffness": stiffness, "adhesion_exponent": chi}
 
 
-def reference_velocity(velocity):
-    """Settings of kuwabara_kono with a reference velocity [m/s]."""
-    return lambda units: {"reference_velocity": velocity * units.velocity}
+def adhesion(plasticity, work_of_adhesion, pull_off_force=0.0):
+    """Properties of pairs of eepa: work of adhesion [J/m2], pull-off force [N]."""
+    return {"plasticity": plasticity, "work_of_adhesion": work_of_adhesion, "pull_off_force": pull_off_force}
 
 
-def case(name, law, restitution, settings=lambda units: {}, properties=no_properties, **marks):
-    """A case of the normal model `law`."""
-    build = request(law, restitution, settings, properties)
-    return Case(name, build, restitution, properties=properties, **marks)
-
-
-def adhesive(plain):
-    """The same normal model with sjkr cohesion."""
-    return replace(
-        plain,
-        name=f"sjkr_{plain.name}",
-        build=lambda units: ContactLaws((*plain.build(units).laws, Sjkr())),
-        adhesive=True,
-    )
-
-
-def zhou(restitution_at, damping_ratio=0.0):
-    """Settings of zhou."""
-    return lambda units: {"restitution_at": restitution_at, "damping_ratio": damping_ratio}
-
-
+SPRING = {"value": 2e4}
+"""Stiffness [N/m] of a linear spring."""
+SLOW = {"reference_velocity": 0.7}
+"""Reference velocity [m/s] of a stiffness or of a restitution that decreases with the impact velocity."""
 PLAIN = (
-    case("zhou_impact", "zhou", fit, zhou("impact"), plastic=True),
-    case("zhou_max_overlap", "zhou", fit, zhou("max_overlap"), plastic=True),
-    case("zhou_constant", "zhou", number(0.6), plastic=True),
-    case("zhou_small", "zhou", number(0.05), plastic=True),
-    case("zhou_without_rebound", "zhou", number(0.0), plastic=True),
-    case("zhou_elastic", "zhou", number(1.0)),
-    case("zhou_damped", "zhou", fit, zhou("impact", 0.2), plastic=True),
-    case("hertz_elastic", "hertz", number(1.0)),
-    case("hertz_damped", "hertz", number(0.6)),
-    case("linear_onset", "linear", number(0.6), spring()),
-    case("linear_reference", "linear", number(0.6), spring(velocity=0.7)),
-    case("linear_number", "linear", number(0.6), spring(2e4)),
-    case("linear_elastic", "linear", number(1.0), spring(2e4)),
-    case("thornton", "thornton", no_restitution, lambda units: {"yield_ratio": 1.0}, plastic=True),
-    case("thornton_elastic", "thornton", no_restitution, lambda units: {"yield_ratio": 10.0}),
-    case("walton_braun_onset", "walton_braun", number(0.6), bilinear(spring()), plastic=True),
-    case("walton_braun_reference", "walton_braun", number(0.6), bilinear(spring(velocity=0.7)), plastic=True),
-    case("walton_braun_number", "walton_braun", number(0.6), bilinear(spring(2e4)), plastic=True),
-    case("walton_braun_falling", "walton_braun", number(0.6), bilinear(spring(), 0.7), plastic=True),
-    case("walton_braun_elastic", "walton_braun", number(1.0), bilinear(spring(2e4))),
-    case("luding_growing", "luding", number(0.6), plastic_to(0.05), plastic=True),
-    case("luding_limit", "luding", number(0.6), plastic_to(0.0064), plastic=True),
-    case("luding_tension", "luding", number(0.6), plastic_to(0.0128, 0.5), plastic=True),
-    case("luding_elastic", "luding", number(1.0), plastic_to(0.05)),
-    case("eepa", "eepa", number(1.0), eepa(1.5), adhesion(0.4, 60.0), plastic=True),
-    case("eepa_damped", "eepa", number(0.8), eepa(3.0), adhesion(0.3, 60.0), plastic=True),
-    case("eepa_linear", "eepa", number(1.0), eepa(1.0, 2e4), adhesion(0.5, 60.0), plastic=True),
-    case(
-        "eepa_pull_off", "eepa", number(1.0), eepa(1.5), adhesion(0.4, 0.0, 0.3), plastic=True, pulls_off=True
-    ),
-    case("eepa_without_adhesion", "eepa", number(1.0), eepa(1.5), adhesion(0.4, 0.0), plastic=True),
-    case("eepa_elastic", "eepa", number(1.0), eepa(1.5), adhesion(0.0, 0.0)),
-    case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
-    case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
+    Case("zhou_impact", "zhou", FIT, zhou("impact"), plastic=True),
+    Case("zhou_max_overlap", "zhou", FIT, zhou("max_overlap"), plastic=True),
+    Case("zhou_constant", "zhou", 0.6, plastic=True),
+    Case("zhou_small", "zhou", 0.05, plastic=True),
+    Case("zhou_without_rebound", "zhou", 0.0, plastic=True),
+    Case("zhou_elastic", "zhou", 1.0),
+    Case("zhou_damped", "zhou", FIT, zhou("impact", 0.2), plastic=True),
+    Case("hertz_elastic", "hertz", 1.0),
+    Case("hertz_damped", "hertz", 0.6),
+    Case("linear_onset", "linear", 0.6, {"stiffness": "onset"}),
+    Case("linear_reference", "linear", 0.6, {"stiffness": SLOW}),
+    Case("linear_number", "linear", 0.6, {"stiffness": SPRING}),
+    Case("linear_elastic", "linear", 1.0, {"stiffness": SPRING}),
+    Case("thornton", "thornton", None, {"yield_ratio": 1.0}, plastic=True),
+    Case("thornton_elastic", "thornton", None, {"yield_ratio": 10.0}),
+    Case("walton_braun_onset", "walton_braun", 0.6, bilinear("onset"), plastic=True),
+    Case("walton_braun_reference", "walton_braun", 0.6, bilinear(SLOW), plastic=True),
+    Case("walton_braun_number", "walton_braun", 0.6, bilinear(SPRING), plastic=True),
+    Case("walton_braun_falling", "walton_braun", 0.6, bilinear("onset", SLOW), plastic=True),
+    Case("walton_braun_elastic", "walton_braun", 1.0, bilinear(SPRING)),
+    Case("luding_growing", "luding", 0.6, plastic_to(0.05), plastic=True),
+    Case("luding_limit", "luding", 0.6, plastic_to(0.0064), plastic=True),
+    Case("luding_tension", "luding", 0.6, plastic_to(0.0128, 0.5), plastic=True),
+    Case("luding_elastic", "luding", 1.0, plastic_to(0.05)),
+    Case("eepa", "eepa", 1.0, eepa(1.5), adhesion(0.4, 60.0), plastic=True),
+    Case("eepa_damped", "eepa", 0.8, eepa(3.0), adhesion(0.3, 60.0), plastic=True),
+    Case("eepa_linear", "eepa", 1.0, eepa(1.0, SPRING), adhesion(0.5, 60.0), plastic=True),
+    Case("eepa_pull_off", "eepa", 1.0, eepa(1.5), adhesion(0.4, 0.0, 0.3), plastic=True, pulls_off=True),
+    Case("eepa_without_adhesion", "eepa", 1.0, eepa(1.5), adhesion(0.4, 0.0), plastic=True),
+    Case("eepa_elastic", "eepa", 1.0, eepa(1.5), adhesion(0.0, 0.0)),
+    Case("kuwabara_kono", "kuwabara_kono", 0.6, SLOW),
+    Case("kuwabara_kono_elastic", "kuwabara_kono", 1.0, SLOW),
 )
 COHESIVE = ("zhou_impact", "walton_braun_number", "luding_tension", "kuwabara_kono")
-CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in COHESIVE))
+CASES = (
+    *PLAIN,
+    *(replace(each, name=f"sjkr_{each.name}", adhesive=True) for each in PLAIN if each.name in COHESIVE),
+)
 CONTINUOUS = tuple(each for each in CASES if each.name != "zhou_without_rebound")
 """Cases that are defined without a time step; at restitution 0 the time step limits the unloading
 stiffness."""

@@ -1,4 +1,4 @@
-"""Evaluation of tangential and rolling models along given paths of one contact, on the device."""
+"""Evaluation of tangential, rolling and cohesion models along given paths of one contact, on the device."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -52,19 +52,20 @@ class SurfaceResult:
     history: np.ndarray
 
 
-def evaluate_surface(law, pair, numbers, vectors):
-    """Forces along paths; `numbers` (contacts, steps) and `vectors` (contacts, steps, 3) are by name."""
+def evaluate_surface(law, pair, numbers, vectors, first=0.0):
+    """Forces along paths; `numbers` (contacts, steps) and `vectors` (contacts, steps, 3) are by name.
+
+    `first`: first history number before. The force of a cohesion model is the first component, its loss since the
+    start.
+    """
     shape = vectors["normal"].shape[:2]
     table = np.ascontiguousarray(
         np.stack([np.broadcast_to(numbers[name], shape) for name in NUMBERS], axis=2), float
     )
     cube = np.ascontiguousarray(np.stack([vectors[name] for name in VECTORS], axis=2), float)
-    found = (
-        np.zeros((*shape, 3)),
-        np.zeros(shape),
-        np.zeros(shape),
-        np.zeros((*shape, max(law.history_count, 1))),
-    )
+    history = np.zeros((*shape, max(law.history_count, 1)))
+    history[:, 0, 0] = first
+    found = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), history
     row = np.array(law.pair_constants(pair)), np.array(list(law.parameters.values()) or [0.0])
     surface_kernel(law)(*row, table, cube, *found)
     return SurfaceResult(*found)
@@ -77,7 +78,13 @@ def surface_kernel(law):
     size = max(law.history_count, 1)
     structs = ModelStructs(laws)
     counts = (len(law.constant_names), max(len(law.parameters), 1))
-    model_force = law.force if isinstance(law, TangentialLaw) else law.torque
+
+    @ti.func
+    def attraction(constants, contact, history):
+        force, history_new = law.force(constants, contact, history)
+        return ti.Vector([force, 0.0, 0.0]), history_new, law.lost_energy(constants, contact, history_new)
+
+    model_force = law.force if isinstance(law, TangentialLaw) else getattr(law, "torque", attraction)
     has_history = law.history_count > 0
     row, square, cube, four = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3, 4))
 
@@ -108,6 +115,7 @@ def surface_kernel(law):
                  history: cube):  # fmt: skip
         for i in range(loss.shape[0]):
             state = ti.Vector.zero(ti.f64, size)
+            state[0] = history[i, 0, 0]
             constants = structs.constants(vector(pair, counts[0]), vector(parameters, counts[1])).surface
             for s in range(loss.shape[1]):
                 contact = contact_of(numbers, vectors, i, s)

@@ -160,7 +160,7 @@ def test_restitution_below_the_smallest_one_is_the_smallest_one(taichi_f64):
     A contact of the restitution 0 stops the pair in one step; the rest is rounding.
     """
     for name, restitution in SMALL.items():
-        small = replace(BY_NAME[name], restitution=lambda units, e=restitution: e)
+        small = replace(BY_NAME[name], restitution=restitution)
         for steps in (10, 50):
             expected = expected_restitution(small, steps)
             assert expected.max() < 1.0

@@ -7,12 +7,10 @@ from typing import Annotated
 import meshio
 import numpy as np
 import pytest
-from contact import test_normal_laws as generic
-from contact.cases import SI, Case, number
 from pydantic import Field
 from resume.runs import files_of, states_of
 
-from granflow import GranflowError, SceneError, load_scene, register_contact_model
+from granflow import GranflowError, load_scene, register_contact_model
 from granflow.cli.main import main
 from granflow.contact.law import (
     CohesionLaw,
@@ -24,10 +22,8 @@ from granflow.contact.law import (
     PairProperties,
     RollingLaw,
 )
-from granflow.contact.material import PairMaterial
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.normal.zhou import Zhou
-from granflow.contact.registry import ContactLaws
 from granflow.device_functions import ti
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
@@ -209,44 +205,10 @@ def test_the_schema_contains_the_models(capsys):
     assert "saturation number [m]; required" in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("saturation: 10 um", "saturation: -1 um", "scene.yaml:10:39: contact.cohesion.saturation is -1 um"),
-        (", attraction: 20 mN", "", "pairs.glass-glass.attraction is missing: contact.cohesion is sticky"),
-    ],
-)
-def test_messages_have_a_position(tmp_path, old, new, message):
-    with pytest.raises(SceneError, match=message):
-        scene_of(tmp_path, old, new)
-
-
 def test_a_model_that_no_pair_needs_is_not_active(tmp_path):
     plan = plan_for(scene_of(tmp_path, "attraction: 20 mN", "attraction: 0"))
     assert plan.laws.cohesion is None and not plan.laws.attracts
     assert plan.laws.names["rolling"] == "syrupy"
-
-
-class StickyCase(Case):
-    """An elastic Hertz contact with the external cohesion, for the generic tests."""
-
-    def pair(self, units=SI):
-        return PairMaterial(
-            4e7 * units.pascal, 1.2e7 * units.pascal, 1.0, properties={"attraction": 20.0 * units.newton}
-        )
-
-
-def sticky_laws(units):
-    """Laws of StickyCase."""
-    return ContactLaws((Hertz(damped=False), Sticky(1e-4 * units.meter)))
-
-
-CHECKS = (generic.test_device_equals_its_numpy_reference, generic.test_work_equals_stored_plus_lost_energy)
-
-
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
-def test_generic_requirements_hold(taichi_f64, check):
-    check(taichi_f64, case=StickyCase("sticky_elastic", sticky_laws, number(1.0), adhesive=True))
 
 
 def test_laws_share_kernels_unless_they_differ_in_more_than_parameters():

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from contact.cases import SI, Units
-from contact.surface_paths import NUMBERS, VECTORS, evaluate_surface, evaluate_surface_reference
+from contact.surface_paths import evaluate_surface, evaluate_surface_reference
 
 from granflow.contact.law import ContactModel, ModelRequest
 from granflow.contact.material import PairMaterial
@@ -52,38 +51,15 @@ STIFFNESS, LOAD, SLIP, RATE = 1e4, 2.0, 2e-5, 1e3
 """The spring reaches its limit COEFFICIENT * LOAD after three steps of SLIP [m]; largest RATE [rad/s]."""
 
 
-def scales(units):
-    """Value of the SI unit of each pair option, number and vector in other units."""
-    torque = units.newton * units.meter
-    time = units.second
-    return {
-        "number": 1.0, "time": units.second, "length": units.meter,
-        "radius_eff": units.meter, "mass_eff": units.kilogram, "inertia_eff": units.kilogram * units.meter**2,
-        "time_step": time, "longest_time_step": time, "overlap": units.meter, "overlap_rate": units.velocity,
-        "normal_load": units.newton, "stiffness": units.newton / units.meter, "stiffness_ratio": 1.0,
-        "normal_damping": units.newton / units.velocity, "torsion_stiffness": torque, "torsion_damping": torque * time,
-        "normal": 1.0, "normal_half": 1.0, "slip": units.meter, "slip_rate": units.velocity,
-        "rolling_rate": 1.0 / time,
-        "force": units.newton, "torque": torque, "energy": torque,
-    }  # fmt: skip
-
-
-def law_and_pair(variant, coefficient=COEFFICIENT, units=SI):
+def law_and_pair(variant, coefficient=COEFFICIENT):
     """The law of a variant, and a pair with the same value for all its properties."""
-    model = variant.model
-    given = variant.options.model_dump()
-    for key, each in model.options.model_fields.items():
-        for number in numbers_of(each):
-            given[key] *= scales(units)[number.dimension]
     options = {}
-    for key, each in model.pair_properties.model_fields.items():
+    for key, each in variant.model.pair_properties.model_fields.items():
         (number,) = numbers_of(each)
-        size = {"length": 1e-5}.get(number.dimension, 1.0)
-        options[key] = coefficient * size * scales(units)[number.dimension]
+        options[key] = coefficient * (1e-5 if number.dimension == "length" else 1.0)
     pair = PairMaterial(4e7, 1.2e7, 0.5, properties=options)
-    return model.law.from_scene(
-        ModelRequest(model.options(**given), (pair,), 1.0, 0.5, energy_budget=True)
-    ), pair
+    request = ModelRequest(variant.options, (pair,), 1.0, 0.5, energy_budget=True)
+    return variant.model.law.from_scene(request), pair
 
 
 def paths(contacts, steps, seed=1, steady=False):
@@ -188,25 +164,6 @@ def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64
     assert accounted.min() >= -1e-14 * accounted.max()
     assert np.count_nonzero(accounted > 1e-3 * accounted.max()) > 20
     assert found.stored.min() >= 0.0
-
-
-@every_variant
-def test_force_and_energy_scale_with_the_units(taichi_f64, variant):
-    units = Units(1e3, 1e-3, 1e6)
-    numbers, vectors = paths(contacts=20, steps=20, seed=6)
-    law, pair = law_and_pair(variant)
-    plain = evaluate_surface(law, pair, numbers, vectors)
-    scale = scales(units)
-    scaled = evaluate_surface(
-        *law_and_pair(variant, units=units),
-        {name: numbers[name] * scale[name] for name in NUMBERS},
-        {name: vectors[name] * scale[name] for name in VECTORS},
-    )
-    force = scale["force" if variant.model.slot == "tangential" else "torque"]
-    size = np.abs(plain.force).max()
-    np.testing.assert_allclose(scaled.force / force, plain.force, rtol=0.0, atol=1e-13 * size)
-    energy = np.abs(plain.loss).max()
-    np.testing.assert_allclose(scaled.loss / scale["energy"], plain.loss, rtol=0.0, atol=1e-12 * energy)
 
 
 def test_dashpot_of_a_spring_of_constant_stiffness(taichi_f64):
