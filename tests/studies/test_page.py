@@ -3,11 +3,8 @@
 import re
 from importlib.resources import files
 
-import numpy as np
-import pytest
-
-from granflow.studies.figures import Drawing, PageTable
-from granflow.studies.page import environment, page_text, write_study
+from granflow.studies.figures import PageTable
+from granflow.studies.page import environment, page_text
 
 TEMPLATE = """\
 {% extends "page.html" %}
@@ -42,16 +39,3 @@ def test_all_templates_are_package_data_and_compile():
     assert {"page.html", "report.html"} <= names == set(environment().list_templates())
     for name in names:
         environment().get_template(name)
-
-
-def test_study_files_are_written_to_a_new_directory(tmp_path):
-    pytest.importorskip("matplotlib")
-    out = tmp_path / "a" / "b"
-    content = {
-        "headline": "h", "accurate": 0.01, "silent_limit": 0.5, "summary": PageTable((), ()), "families": ()
-    }  # fmt: skip
-    figures = {"stability.png": Drawing(lambda figure: figure.subplots(), 1.0)}
-    tables = {"t.csv": {"x": np.array([0.1])}}
-    assert not write_study(out / "p.html", "stability.html", tables, figures, **content)
-    assert (out / "t.csv").read_text() == "x\n0.1\n"
-    assert "data:image/png;base64," in (out / "p.html").read_text(encoding="utf-8")

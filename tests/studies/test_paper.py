@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from granflow.studies.paper import figures
-from granflow.studies.paper.figures import PAPER_CASES, thornton_restitution
+from granflow.studies.paper.figures import PAPER_CASES
 
 RESTITUTIONS = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
 SPEEDS = np.array([0.01, 0.3, 10.0])
@@ -84,22 +84,6 @@ def test_restitution_duration_and_spring_match_figures_3_to_5(taichi_f64):
         assert columns["spring_simulated"][of_case] == pytest.approx(springs, rel=1e-3)
     drawn = figures.restitution_figure(columns), figures.duration_figure(columns)
     assert all(deviation.is_within_target for figure_data in drawn for deviation in figure_data.deviations)
-
-
-@pytest.mark.parametrize("ratio", [1.0, 30.0])
-def test_thornton_restitution_follows_from_the_energies(ratio):
-    """Hertz up to yield, then linear with the slope at yield; unloading by Hertz on the flattened sphere.
-
-    In units of the yield overlap and force: F = d^1.5, then 1 + 1.5 (d - 1); unloading returns (2/5) F (d -
-    dp) with R_p F = F_hertz(dmax) R, so that its stiffness is sqrt(R_p / R).
-    """
-    energy = 0.4 * ratio**2  # kinetic energy; the yield energy is 0.4
-    largest = brentq(lambda d: 0.4 + (d - 1.0) + 0.75 * (d - 1.0) ** 2 - energy, 1.0, 1e4)
-    force = 1.0 + 1.5 * (largest - 1.0)
-    flattened = largest**1.5 / force
-    rebound = (force / np.sqrt(flattened)) ** (2.0 / 3.0)
-    expected = np.sqrt(0.4 * force * rebound / energy)
-    assert thornton_restitution(np.array([ratio]), 1.0)[0] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
 from granflow.studies.frames import (
     OPENING,
     VIEWS,
-    aspect_of,
     camera_for,
     corners_of,
     frames_of,
@@ -26,7 +25,7 @@ from granflow.studies.frames import (
     selected_frames,
     view_of,
 )
-from granflow.studies.render import UNSIGNED, prefixed, scale_for, values_of
+from granflow.studies.render import prefixed, scale_for, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -81,23 +80,11 @@ def test_frames_are_selected_by_position_number_or_time(run, text, numbers):
         assert [frame.number for frame in selected_frames(frames, text)] == numbers
 
 
-@pytest.mark.parametrize("option", ["--size=1600", "--size=9x9", "--range=2,1", "--zoom=0", "--fps=-1"])
-def test_invalid_arguments_are_rejected_with_the_expected_form(run, option, capsys):
-    with pytest.raises(SystemExit):
-        main(["render", str(run), option])
-    assert "is not a " in capsys.readouterr().err
-
-
 def test_vectors_are_colored_by_magnitude_or_component():
-    arrays = {"velocity": np.array([[3.0, 4.0, 12.0]]), "radius": np.array([0.5])}
+    arrays = {"velocity": np.array([[3.0, 4.0, 12.0]])}
     assert values_of(arrays, "velocity")[0] == 13.0 and values_of(arrays, "velocity.z")[0] == 12.0
-    for color, hint in (
-        ("velocty", "Did you mean velocity"),
-        ("radius.x", "no such"),
-        ("velocity.w", "no such"),
-    ):
-        with pytest.raises(GranflowError, match=hint):
-            values_of(arrays, color)
+    with pytest.raises(GranflowError, match="Did you mean velocity"):
+        values_of(arrays, "velocty")
 
 
 def test_range_contains_98_percent_of_the_values_and_zero_if_near():
@@ -127,75 +114,37 @@ def test_all_points_are_visible_and_fill_the_picture(text):
 
 
 def test_view_directions_match_their_names():
-    directions = {
-        "front": ([0, -1, 0], [1, 0, 0]),
-        "side": ([1, 0, 0], [0, 1, 0]),
-        "top": ([0, 0, 1], [1, 0, 0]),
-    }
-    for name, expected in directions.items():
-        view = view_of(name)
-        assert (view.toward.tolist(), view.right.tolist()) == expected
+    for name, toward, right in (
+        ("front", [0, -1, 0], [1, 0, 0]), ("side", [1, 0, 0], [0, 1, 0]), ("top", [0, 0, 1], [1, 0, 0])
+    ):  # fmt: skip
+        assert view_of(name).toward.tolist() == toward and view_of(name).right.tolist() == right
     sideways = view_of("front", gravity=np.array([0.1, -9.8, 0.0]))
     assert sideways.up.tolist() == [0, 1, 0] and sideways.right.tolist() == [1, 0, 0]
-    assert aspect_of(view_of("front"), corners_of(np.array([[0.0, 0, 0], [3, 9, 1]]))) == 3.0
-    for text in ("behind", "0,0,0", "1,nan,2"):
-        with pytest.raises(GranflowError, match="--view"):
-            view_of(text)
-
-
-# Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.
-PICTURES = """
-import sys
-import numpy as np
-from granflow.cli.main import main
-from granflow.studies.frames import FrameParticles, camera_for, view_of
-from granflow.studies.render import Renderer
-for name in ("front", "iso"):
-    radius = 0.4
-    view = view_of(name)
-    camera = camera_for(view, np.array([[-1.0, -1, -1], [1, 1, 1]]) * 0.7, 1.0)
-    renderer = Renderer((600, 600), camera)
-    particles = FrameParticles(np.zeros((1, 3)), np.array([radius]), {})
-    renderer.set_particles(particles, np.array([[0, 0, 0]], np.uint8))
-    share = np.mean(renderer.draw().min(axis=2) < 128)
-    distance = np.linalg.norm(camera.eye)
-    seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))
-    slope = seen if view.perspective else radius / camera.half_height
-    print(share / (np.pi / 4 * slope**2))
-picture = ["--chains", "--view", "top", "--cut", "--color", "velocity.z"]
-assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/a.png", "--size", "640x480", *picture]) == 0
-worn = ["--walls", "wear_depth", "--view", "top", "--size", "640x480"]
-assert main(["render", sys.argv[1], "--out", f"{sys.argv[1]}/worn.png", *worn]) == 0
-assert main(["render", sys.argv[1], "--film", "--size", "320x240", "--fps", "4"]) == 0
-"""
+    with pytest.raises(GranflowError, match="--view"):
+        view_of("1,nan,2")
 
 
 @pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="needs the plot extra")
 def test_pictures_and_film(run):
-    """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel
-    projection; a film has all frames. The triangles of the floor have the colors of their wear, of which the
-    scale begins at 0."""
+    """A film has all frames. In a separate process: if no picture can be drawn, VTK aborts instead of raising."""
     import imageio_ffmpeg
-    from matplotlib import colormaps
     from PIL import Image
 
     cells = {"wall": np.zeros(2, np.int32), "wear_depth": np.array([1e-6, 4e-6])}
     write_vtu(run / "walls_0003.vtu", VtuMesh.of_cells("triangle", *FLOOR, cells))
-    done = subprocess.run(
-        [sys.executable, "-c", PICTURES, str(run)], capture_output=True, text=True, timeout=250
-    )
+    chains = ["--chains", "--view=top", "--cut", "--color=velocity.z", "--size=640x480", f"--out={run}/a.png"]
+    worn = ["--walls=wear_depth", "--view=top", "--size=640x480", f"--out={run}/worn.png"]
+    film = ["--film", "--size=320x240", "--fps=4"]
+    program = "import sys\nfrom granflow.cli.main import main\n"
+    program += "\n".join(f"assert main({['render', str(run), *each]}) == 0" for each in (chains, worn, film))
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=250)
     assert done.returncode == 0, done.stderr[-2000:]
-    shares = [float(line) for line in done.stdout.split("\n")[:2]]
-    np.testing.assert_allclose(shares, 1.0, atol=0.02)
-    picture = np.asarray(Image.open(run / "a.png"))
-    assert picture.shape == (480, 640, 3)
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
-    worn = np.asarray(Image.open(run / "worn.png")).reshape(-1, 3).astype(int)
-    for share in (0.25, 1.0):
-        color = 255.0 * np.array(colormaps[UNSIGNED](share)[:3])
-        assert np.mean(np.abs(worn - color).max(axis=1) < 20.0) > 0.04, share  # 0.7 to 1 of the light
-    film = run / "pictures" / "film_velocity_iso.mp4"
-    assert imageio_ffmpeg.count_frames_and_secs(str(film)) == (4, pytest.approx(1.0, abs=0.05))
+    for name in ("a.png", "worn.png"):
+        picture = np.asarray(Image.open(run / name))
+        assert picture.shape == (480, 640, 3)
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
+    found = imageio_ffmpeg.count_frames_and_secs(str(run / "pictures" / "film_velocity_iso.mp4"))
+    assert found == (4, pytest.approx(1.0, abs=0.05))
 
 
 def test_stopped_film_leaves_no_file(run, monkeypatch, capsys):

@@ -2,14 +2,12 @@
 
 import json
 import re
-import shutil
 import sys
 from dataclasses import asdict
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scene_runner import SCENES
 
 import granflow as gf
 from granflow import read_run
@@ -21,7 +19,7 @@ from granflow.observers.timeseries import CollisionEnergies
 from granflow.runs.read_run import Frames
 from granflow.snapshot import Snapshot
 from granflow.studies import report as report_module
-from granflow.studies.interactive_plots import MOST_POINTS, groups_of, plot_of, thinned
+from granflow.studies.interactive_plots import groups_of, plot_of
 from granflow.studies.report import (
     collision_topics,
     field_content,
@@ -134,29 +132,6 @@ def test_columns_of_one_quantity_and_unit_share_a_plot():
     figure = plot_of(found[-1], TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())).figure
     assert figure["data"][0]["y"] == [0.0, 45.0]
     assert figure["layout"]["yaxis"]["title"]["text"].endswith("(deg)")
-
-
-def test_expected_quantities_are_first(run):
-    """Quantities with a unit have a plot under their expectations; a plot of these alone is not repeated."""
-    shutil.copy(SCENES / "two_spheres.yaml", run / "scene_as_run.yaml")
-    record = read_run(run)
-    assert not record.scene_problem
-    topic = report_module.expected_topic(record, with_plots=True)
-    names = [curve["name"] for plot in topic.plots for curve in plot.figure["data"]]
-    assert names == ["kinetic energy"]
-    (run / "timeseries.csv").write_text("time [s],stage,kinetic_energy [J]\n0,a,1\n1,a,2\n")
-    topics = report_module.topics(read_run(run), with_plots=True)
-    assert [plot.caption for topic in topics for plot in topic.plots] == []
-
-
-def test_thinned_curve_keeps_peaks_and_ends():
-    time = np.arange(1e5)
-    values = np.zeros(100_000)
-    values[[0, 777, 5_001, 99_999]] = 1.0, 9.0, -4.0, 2.0
-    values[50_000] = np.nan
-    x, y = thinned(time, values)
-    assert len(x) <= MOST_POINTS and np.all(np.diff(x) > 0)
-    assert {(0, 1.0), (777, 9.0), (5_001, -4.0), (99_999, 2.0)} <= set(zip(x, y, strict=True))
 
 
 def test_fields_of_a_row_of_cells_are_profiles(tmp_path):

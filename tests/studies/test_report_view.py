@@ -1,7 +1,6 @@
 """The 3D view of the report: its arrays, chosen frames and particles, and walls."""
 
 from base64 import b64decode
-from types import SimpleNamespace
 from zlib import decompress
 
 import numpy as np
@@ -11,8 +10,8 @@ from granflow import read_run
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ParticleFrames
 from granflow.studies import report_view
-from granflow.studies.frames import FrameWalls, frames_of, read_particles
-from granflow.studies.report_view import PackedArrays, _wall_headers, geometry_of, interactive_view
+from granflow.studies.frames import frames_of, read_particles
+from granflow.studies.report_view import interactive_view
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -59,33 +58,6 @@ def test_many_particles_are_thinned_by_id(tmp_path, monkeypatch):
     ids = read_particles(frames_of(tmp_path)[0]).arrays["id"]
     assert view.header["frames"][0]["count"] == np.sum(ids % 3 == 0) <= 20
     assert "those whose id is a multiple of 3" in view.statement
-
-
-def test_edges_of_a_cube_are_its_twelve_sides():
-    """Quadrilaterals and their halves have the same edges; diagonals are flat and hidden."""
-    squares = FrameWalls(CUBE, (FACES,), (np.zeros(6, int),))
-    halves = np.concatenate([FACES[:, [0, 1, 2]], FACES[:, [2, 0, 3]]])
-    triangles = FrameWalls(CUBE, (halves,), (np.zeros(12, int),))
-    for walls in (squares, triangles):
-        found = geometry_of(walls)
-        assert len(found.points) == 8 and len(found.triangles) == 12 and len(found.edges) == 12
-        lengths = np.linalg.norm(np.diff(found.points[found.edges], axis=1), axis=2)
-        np.testing.assert_array_equal(lengths, 1.0)
-
-
-def test_planes_are_cut_around_the_particles():
-    """A large plane is a part of its own, with a box that is unbounded along its normal except for the
-    margin."""
-    corners = np.array([[-50.0, -50.0, 0.0], [50.0, -50.0, 0.0], [50.0, 50.0, 0.0], [-50.0, 50.0, 0.0]])
-    shapes = {"floor": SimpleNamespace(shape="plane"), "box": SimpleNamespace(shape="box")}
-    scene = SimpleNamespace(walls=shapes, domain=SimpleNamespace(on_exit="expand"))
-    points = np.concatenate([corners, CUBE])
-    walls = FrameWalls(points, (np.array([[0, 1, 2, 3]]), FACES + 4), (np.zeros(1), np.ones(6)))
-    box, floor = _wall_headers(walls, scene, CUBE, PackedArrays())
-    assert box["triangles"]["length"] == 36 and floor["triangles"]["length"] == 6
-    low, high = np.array(floor["box"])
-    np.testing.assert_allclose([low[0], high[0]], [-0.05, 1.05], atol=0.11)
-    assert low[2] < 0.0 < high[2]
 
 
 def test_walls_are_in_the_view_and_colored_by_their_wear(tmp_path):

@@ -4,13 +4,12 @@ import json
 import re
 from math import pi, sin
 
-import numpy as np
 import pytest
 from studies.test_sweep import run
 
 from granflow.studies.run_process import ABORTED, Outcome, final_outcome, write_outcome
 from granflow.studies.sweep_design import SweepInput, design_points
-from granflow.studies.sweep_page import mean_over, sobol_indices, with_error, write_sweep_page
+from granflow.studies.sweep_page import sobol_indices, write_sweep_page
 from granflow.studies.sweep_table import table_of
 
 
@@ -91,20 +90,3 @@ def test_page_of_a_sobol_design_has_its_indices(tmp_path):
     assert "base samples are too few" in (tmp_path / "sweep.html").read_text()
     incomplete = swept(tmp_path / "incomplete", vary, aborts=(4,), sampling=sampling)
     assert sobol_indices(*incomplete) == ([], "mass_flow.out is missing at 1 of 10 points.")
-
-
-def test_mean_over_a_parameter():
-    """Means at each of few values; in intervals of equal ratios if there are many."""
-    pandas = pytest.importorskip("pandas")
-    few = pandas.DataFrame({"x": ["b", "a", "b"], "q": [1.0, 2.0, 4.0]})
-    assert mean_over(few, "x", "q", False).values.tolist() == [["b", 2.5], ["a", 2.0]]
-    many = pandas.DataFrame({"x": np.geomspace(0.01, 1.0, 16), "q": np.arange(16.0)})
-    np.testing.assert_allclose(mean_over(many, "x", "q", True)["q"], np.arange(0.5, 16.0, 2.0))
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "text"),
-    [(19.1214, 4.13, "19.1 ± 4.1"), (3.0255e-11, 2.36e-11, "3.0e-11 ± 2.4e-11"), (0.25, 0.0, "0.25 ± 0")],
-)  # fmt: skip
-def test_a_number_has_the_digits_of_its_standard_error(value, error, text):
-    assert with_error(value, error) == text

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
@@ -15,7 +14,6 @@ from studies.sweep_files import write_sweep
 
 import granflow as gf
 from granflow.cli.main import main
-from granflow.io.lock import locked
 from granflow.studies import run_process
 from granflow.studies.run_pool import Workers
 from granflow.studies.sweep import read_sweep, run_sweep
@@ -37,10 +35,8 @@ def home(tmp_path_factory):
 
 
 def executed(out, jobs=1):
-    """Events of a sweep that is executed or continued."""
-    events = []
-    run_sweep(read_sweep("sweep.yaml"), out, Workers(jobs=jobs), report=lambda _, event: events.append(event))
-    return events
+    """Execute or continue the sweep."""
+    run_sweep(read_sweep("sweep.yaml"), out, Workers(jobs=jobs), report=lambda *_: None)
 
 
 def rows(out):
@@ -107,32 +103,13 @@ def test_run_whose_scene_was_edited_after_its_check_is_not_kept(home, tmp_path, 
     assert [row["status"] for row in again] == STATUSES and again[0]["runs"] != found[0]["runs"]
 
 
-def test_damaged_results_are_repeated_and_those_of_another_process_awaited(home):
-    """A lost worker may leave its run behind: the run is not started twice, its result is used."""
-    out = shutil.copytree(home / "whole", home / "orphan")
+def test_runs_with_truncated_files_are_repeated(home):
+    out = shutil.copytree(home / "whole", home / "truncated")
     before = rows(out)
-    directories = [out / "runs" / row["runs"] for row in before]
-    for directory, name in ((directories[0], "result.json"), (directories[3], "outcome.json")):
-        (directory / name).write_text('{"run": {"wall_clock": 1.0')
-    missing = directories[1] / "result.json"
-    result = missing.read_text()
-    missing.unlink()
-    held = threading.Event()
-
-    def orphan():
-        with locked(missing.parent):
-            held.set()
-            time.sleep(1.0)
-            missing.write_text(result)
-
-    thread = threading.Thread(target=orphan)
-    thread.start()
-    held.wait()
-    events = executed(out)
-    thread.join()
-    awaited = f"runs/{missing.parent.name} is carried out by process {os.getpid()} on "
-    assert any(each.startswith(awaited) for each in events)
-    assert len(starts(out)) == 8 + 2 and rows(out) == before
+    for row, name in ((0, "result.json"), (3, "outcome.json")):
+        (out / "runs" / before[row]["runs"] / name).write_text('{"run": {"wall_clock": 1.0')
+    executed(out)
+    assert rows(out) == before and len(starts(out)) == 8 + 2
 
 
 DRIVER = f"""
