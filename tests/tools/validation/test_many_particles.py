@@ -7,11 +7,6 @@ from validation import cooling, rheology, silo, vibrated
 from granflow.snapshot import Snapshot
 
 
-def constant(e):
-    """A restitution that does not depend on the velocity."""
-    return lambda speed: np.full_like(speed, e)
-
-
 def statuses(cases):
     """Statuses of the cases, in their order."""
     return [each.status for each in cases]
@@ -20,7 +15,7 @@ def statuses(cases):
 def test_integrated_cooling_of_constant_restitution_is_haffs_law():
     """theta = theta_0 (1 + (1 - e^2) w t / 6)^-2."""
     dilute = cooling.Gas(600, 1e-3, 0.02**3)
-    time, theta = cooling.cooling_curve(dilute, constant(0.8), 0.5, 0.06)
+    time, theta = cooling.cooling_curve(dilute, lambda speed: np.full_like(speed, 0.8), 0.5, 0.06)
     rate = 0.36 * dilute.collision_rate(0.5) / 6.0
     np.testing.assert_allclose(theta, 0.5 * (1.0 + rate * time) ** -2.0, rtol=1e-6)
     assert cooling.haff_slope(dilute, 0.8, 0.5) == pytest.approx(rate, rel=0.003)
@@ -75,33 +70,21 @@ def column_record(share_of_janssen, levels=4000):
 
 
 def test_evaluation_of_a_silo_recovers_janssens_law():
+    """It rejects a wall whose lower third carries nothing."""
     balance, share = silo.evaluate_silo([column_record(np.ones_like)] * 10)
     assert balance.value == pytest.approx(1.0, abs=1e-12)
     assert (share.value, share.status) == (pytest.approx(share.reference, abs=0.01), "pass")
-
-
-def test_evaluation_of_a_silo_rejects_a_wall_that_carries_too_little():
-    """The wall of the lower third carries nothing."""
     record = column_record(lambda height: np.where(height < 1.0 / 3.0, 0.0, 1.0))
     assert statuses(silo.evaluate_silo([record] * 10)) == ["pass", "fail"]
 
 
 def test_evaluation_of_the_discharge_recovers_beverloos_law():
+    """A wrong flow fails in a wide silo and misses in narrow ones."""
     cases = silo.discharge_cases(flows_of=lambda radius, _: [silo.beverloo_flow(2.0 * radius)] * 3)
     assert statuses(cases) == ["pass"] * 8
     assert [each.value for each in cases[-2:]] == pytest.approx([1.4, 2.5], rel=1e-6)
-
-
-def test_a_wrong_flow_fails_in_a_wide_silo_and_misses_in_narrow_ones():
     cases = silo.discharge_cases(flows_of=lambda radius, _: [2.0 * silo.beverloo_flow(2.0 * radius)] * 3)
     assert statuses(cases) == ["miss"] * 5 + ["fail"] + ["pass"] * 2
-
-
-@pytest.mark.parametrize(("orifice", "width", "expected"), [(0.028, 0.148, True), (0.028, 0.147, False),
-                                                            (0.019, 0.2, False), (0.1, 0.24, False)])  # fmt: skip
-def test_range_of_beverloos_law(orifice, width, expected):
-    """Orifice of 5 diameters of 4 mm; silo of 2.5 orifices, and of the orifice plus 30 diameters."""
-    assert silo.in_range(orifice, width) is expected
 
 
 def sheared_fields(inertial_number, friction, solid_fraction):
