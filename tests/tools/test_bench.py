@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import pytest
 from benchmark import cases, codes, ranks_page, tables
 
-
 LOG = """LAMMPS (29 Sep 2021 - Update 2)
 Step Atoms v_above
        0       3   2.00
