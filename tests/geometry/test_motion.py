@@ -187,6 +187,8 @@ def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
 TIMES, VALUES = (0.0, 0.2, 0.5, 0.6, 1.0), (0.3, 0.4, 0.4, 1.0, 0.1)
 RATES = (0.0, 2.0, 2.0, -1.0, 0.0)
 BY_VALUES, BY_RATES = MotionTable.of_values(TIMES, VALUES), MotionTable.of_rates(TIMES, RATES)
+FASTEST_BETWEEN = MotionTable.of_values((0.0, 0.3, 0.7, 0.8, 1.0), (0.0, 0.03, 0.5, 0.53, 0.55))
+"""The largest rate is between the second and the third row, at which the rates are not 0."""
 
 
 def test_displacements_of_a_table_pass_through_its_rows_without_overshoot_and_velocities_are_linear():
@@ -201,7 +203,7 @@ def test_displacements_of_a_table_pass_through_its_rows_without_overshoot_and_ve
     assert BY_RATES.at(np.array([0.0, 0.5]))[0] == pytest.approx([0.0, 0.5 * 0.2 * 2.0 + 0.3 * 2.0])
 
 
-@pytest.mark.parametrize("course", [BY_VALUES, BY_RATES])
+@pytest.mark.parametrize("course", [BY_VALUES, BY_RATES, FASTEST_BETWEEN])
 def test_rates_of_a_table_are_continuous_derivatives_within_their_bounds(course):
     step, times = 1e-6, np.linspace(0.001, 0.999, 4999)
     _, rate = course.at(times)
