@@ -23,14 +23,9 @@ def stokes_drag(radius, velocity, viscosity):
 
 
 def general(position, velocity, radius, mass, time, parameters):
-    rates = parameters.acceleration + parameters.amplitude * cosine(parameters.frequency * time)
+    rates = parameters.acceleration + parameters.amplitude * ti.cos(parameters.frequency * time)
     drag = stokes_drag(radius, velocity, parameters.viscosity)
     return mass * (rates - parameters.rate * velocity) + drag
-
-
-@ti.func
-def cosine(angle):
-    return ti.cos(angle)
 
 
 def force(name="general", **parameters):
@@ -59,10 +54,9 @@ def test_stokes_drag_follows_the_exponential_and_is_of_second_order(taichi_f64):
         with gf.Simulation(flying(run=settings(step)), forces=[force(viscosity=viscosity)]) as simulation:
             simulation.run(until=tau)
             totals = simulation.snapshot().totals
-            time = simulation.time
+            decayed = math.exp(-simulation.time / tau)
             speed = simulation.particles.velocity[0, 0]
             place = simulation.particles.position[0, 0]
-        decayed = math.exp(-time / tau)
         assert speed / decayed - 1.0 == pytest.approx(h**2 / 6.0, rel=0.1)
         assert place == pytest.approx(tau * (1.0 - decayed), rel=h**2)
         assert totals["external_work"] == pytest.approx(-kinetic * (1.0 - decayed**2), rel=h**2)
@@ -94,9 +88,8 @@ def test_force_and_damping_of_the_scene_are_of_second_order_together(taichi_f64)
         decay, ending = math.exp(-p * t), math.exp(-r * t)
         errors.append(velocity[0] / decay - 1.0)
         second_order = (p * step) ** 2
-        np.testing.assert_allclose(
-            velocity, [decay, 0.0, -limit - begin * ending], rtol=second_order, atol=1e-12
-        )
+        expected = [decay, 0.0, -limit - begin * ending]
+        np.testing.assert_allclose(velocity, expected, rtol=second_order, atol=1e-12)
         path = limit * t + begin * (1.0 - ending) / r
         squares_x = (1.0 - decay**2) / (2.0 * p)
         squares_z = limit**2 * t + 2.0 * limit * begin * (1.0 - ending) / r
@@ -110,10 +103,10 @@ def test_force_and_damping_of_the_scene_are_of_second_order_together(taichi_f64)
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
-def test_constant_field_gives_the_parabola_and_its_parameter_changes_without_compilation(taichi_f64):
+def test_constant_field_gives_the_parabola_and_new_parameters_act_without_compilation(taichi_f64):
+    """Then the field is opposite, and after that a cos(w t) along y:  v_y = (a / w) (sin(w t) - sin(w t0))."""
     field = force(acceleration=(0.0, 0.0, -20.0))
-    with gf.Simulation(flying()) as simulation:
-        simulation.forces.append(field)
+    with gf.Simulation(flying(), forces=[field]) as simulation:
         simulation.run(until=0.01)
         t = simulation.time
         np.testing.assert_allclose(simulation.particles.velocity[0], [1.0, 0.0, -20.0 * t], rtol=1e-9)
@@ -123,9 +116,13 @@ def test_constant_field_gives_the_parabola_and_its_parameter_changes_without_com
         kernels = simulation.engine.state
         field.parameters["acceleration"] = [0.0, 0.0, 20.0]
         simulation.run(duration=0.01)
-        later = simulation.time - t
+        later = simulation.time
         assert simulation.engine.state is kernels
-        assert simulation.particles.velocity[0, 2] == pytest.approx(20.0 * (later - t), abs=1e-3)
+        assert simulation.particles.velocity[0, 2] == pytest.approx(20.0 * (later - 2.0 * t), abs=1e-3)
+        field.parameters = OFF | {"amplitude": [0.0, 10.0, 0.0], "frequency": 500.0}
+        simulation.run(duration=0.01)
+        gained = 10.0 / 500.0 * (math.sin(500.0 * simulation.time) - math.sin(500.0 * later))
+        assert simulation.particles.velocity[0, 1] == pytest.approx(gained, abs=1e-4)
         assert abs(simulation.snapshot().totals["energy_error"]) < 1e-3
 
 
@@ -135,8 +132,7 @@ def test_forces_are_added_and_removed_while_the_simulation_runs(taichi_f64):
     down = force("down", acceleration=(0.0, 0.0, -15.0))
     with gf.Simulation(flying()) as simulation:
         state = simulation.engine.state
-        assert state.particles.external_force is None and state.control.external_work is None
-        assert state.control.force_clock is None and "external_work" not in simulation.snapshot().totals
+        assert state.particles.external_force is None and "external_work" not in simulation.snapshot().totals
         simulation.run(until=1e-3)
         start = simulation.time
         simulation.forces.append(up)
@@ -151,15 +147,6 @@ def test_forces_are_added_and_removed_while_the_simulation_runs(taichi_f64):
         assert simulation.particles.velocity[0, 2] == pytest.approx(expected, rel=1e-9)
         assert abs(simulation.snapshot().totals["energy_error"]) < 1e-9
         assert [force.name for force in simulation.forces] == ["general"]
-
-
-def test_a_force_receives_the_simulated_time(taichi_f64):
-    """dv/dt = a cos(w t):   v = (a / w) sin(w t)."""
-    oscillating = force(amplitude=[0.0, 10.0, 0.0], frequency=500.0)
-    with gf.Simulation(flying(), forces=[oscillating]) as simulation:
-        simulation.run(until=0.01)
-        expected = 10.0 / 500.0 * math.sin(500.0 * simulation.time)
-        assert simulation.particles.velocity[0, 1] == pytest.approx(expected, rel=1e-4)
 
 
 def test_budget_closes_with_contacts_and_neighbor_list_rebuilds(taichi_f64):
@@ -178,46 +165,11 @@ def invalid(position, velocity, radius, mass, time, parameters):
     return parameters.acceleration * ti.sqrt(parameters.limit - position[0])
 
 
-@pytest.mark.parametrize("acceleration", [1.0, 1e9])
-def test_the_message_of_an_abort_names_the_force(taichi_f64, acceleration):
-    """The square root is not a number beyond the limit; the large force exceeds the displacement limit
-    before."""
-    wrong = gf.ParticleForce(invalid, {"limit": 1e-3, "acceleration": [acceleration, 0.0, 0.0]})
+def test_the_message_of_an_abort_names_the_force(taichi_f64):
+    """The square root is not a number beyond the limit."""
+    wrong = gf.ParticleForce(invalid, {"limit": 1e-3, "acceleration": [1.0, 0.0, 0.0]})
     with gf.Simulation(flying(), forces=[wrong]) as simulation, pytest.raises(gf.RunError) as stopped:
         simulation.run()
     message = str(stopped.value)
-    assert ("is not a number. It has no contacts" in message) == (acceleration == 1.0)
+    assert "is not a number. It has no contacts" in message
     assert message.endswith("The force from Python may also be the cause: check the values of invalid.")
-    assert "f64" not in message
-
-
-def scalar(position, velocity, radius, mass, time, parameters):
-    return mass
-
-
-def unknown(position, velocity, radius, mass, time, parameters):
-    return mass * parameters.viscosiy * velocity
-
-
-def test_a_function_with_other_arguments_is_refused():
-    with pytest.raises(
-        gf.GranflowError, match=r"force <lambda> takes \(position, velocity\), but must take \(position, "
-    ):
-        gf.ParticleForce(lambda position, velocity: velocity)
-
-
-def test_functions_and_parameters_that_are_not_valid_are_refused(taichi_f64):
-    with gf.Simulation(flying()) as simulation:
-        for function, message in ((scalar, "vector of three"), (unknown, "viscosiy")):
-            with pytest.raises(gf.FunctionError, match=f"force {function.__name__} at 0 s cannot.*{message}"):
-                simulation.forces.append(gf.ParticleForce(function, {"viscosity": 1.0}))
-        simulation.forces.append(first := force())
-        with pytest.raises(gf.GranflowError, match="has two forces general"):
-            simulation.forces.append(force())
-        for name, value, message in (
-            ("viscosiy", 1.0, "has no parameter viscosiy; its parameters are viscosity, rate"),
-            ("viscosity", math.nan, "is nan, but must be a finite number"),
-            ("viscosity", [1.0, 2.0, 3.0], "must remain a number"),
-        ):
-            with pytest.raises(gf.GranflowError, match=message):
-                first.parameters[name] = value
