@@ -1,11 +1,8 @@
 """Structure of the package: imports between layers, layers that use Taichi."""
 
 import ast
-import subprocess
 from functools import cache
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
@@ -16,11 +13,6 @@ LAYERS = (
 )  # fmt: skip
 """From the lowest layer to the highest. The __init__ of the package re-exports names of all layers."""
 TAICHI_LAYERS = {"device_functions", "contact", "geometry", "scene", "engine"}
-VAGUE_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
-TOP_LEVEL = {
-    *("granflow", "scenes", "tests", "tools", "docs"),
-    *("pyproject.toml", "constraints.txt", "README.md", "ARCHITECTURE.md", "LICENSE", "CHANGELOG.md"),
-}
 STUDIES_IMPORT = {
     "granflow", "granflow.arguments", "granflow.contact.material", "granflow.contact.registry",
     "granflow.contact.theory", "granflow.errors", "granflow.fields", "granflow.geometry.sphere",
@@ -29,7 +21,6 @@ STUDIES_IMPORT = {
 }  # fmt: skip
 """Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and
 `granflow.scene.blocks`."""
-FUNCTION_NODES = (ast.FunctionDef, ast.AsyncFunctionDef)
 TAICHI_DECORATORS = {"func", "kernel", "real_func", "pyfunc"}
 
 
@@ -50,24 +41,17 @@ def modules():
 def imports(name):
     """The absolute dotted names of all imports in a module; submodules rather than their packages."""
     path, tree = modules()[name]
+    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            base = resolved(name, path, node)
+            stem = package[: len(package) - node.level + 1] if node.level else []
+            base = ".".join([*stem, *([node.module] if node.module else [])])
             inner = [f"{base}.{alias.name}" for alias in node.names]
             found += [each if each in modules() else base for each in inner]
     return found
-
-
-def resolved(name, path, node):
-    """The absolute name of the module in a `from ... import`."""
-    if not node.level:
-        return node.module
-    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-    stem = package[: len(package) - node.level + 1]
-    return ".".join([*stem, *([node.module] if node.module else [])])
 
 
 def layer(name):
@@ -76,19 +60,8 @@ def layer(name):
     return parts[1] if parts[0] == "granflow" and len(parts) > 1 else None
 
 
-def functions():
-    """Every function of the package, including nested functions: its location and its node."""
-    for path, tree in modules().values():
-        for node in ast.walk(tree):
-            if isinstance(node, FUNCTION_NODES):
-                yield f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node
-
-
-def test_every_module_belongs_to_a_layer():
-    assert not {name for name in modules() if layer(name) not in (None, *LAYERS)}
-
-
 def test_modules_import_only_from_lower_layers():
+    assert not {name for name in modules() if layer(name) not in (None, *LAYERS)}
     upward = [
         f"{name} imports {target}"
         for name in modules()
@@ -133,70 +106,28 @@ def uses_kernel_language(name):
     sources = {"granflow.kernel_language", "granflow.device_functions"}
     froms = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module in sources]
     attributes = [ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)]
-    return (
-        any(alias.name == "ti" for node in froms for alias in node.names)
-        or "kernel_language.ti" in attributes
-    )
+    imported = any(alias.name == "ti" for node in froms for alias in node.names)
+    return imported or "kernel_language.ti" in attributes
 
 
-def test_taichi_modules_do_not_postpone_annotations():
-    """`from __future__ import annotations` hides the types of a kernel from Taichi."""
-    violations = [
-        name
-        for name in modules()
-        if layer(name) in TAICHI_LAYERS and uses_kernel_language(name) and "__future__" in imports(name)
-    ]
-    assert not violations
-
-
-def test_module_names_are_specific():
-    assert not [name for name in modules() if VAGUE_NAMES & set(name.split("."))]
-
-
-@pytest.mark.parametrize("name", [module_name(path) for path in sorted(PACKAGE.rglob("__init__.py"))])
-def test_package_inits_only_re_export(name):
-    def is_re_export(node):
-        if isinstance(node, ast.Assign):
-            return all(isinstance(t, ast.Name) and t.id in {"__all__", "_LOCATIONS"} for t in node.targets)
-        if isinstance(node, ast.FunctionDef):
-            return node.name in {"__getattr__", "__dir__"}
-        if isinstance(node, ast.If):
-            return ast.unparse(node.test) == "TYPE_CHECKING"
-        if ast.unparse(node).startswith("os.environ.setdefault("):
-            return name == "granflow"
-        is_docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        return is_docstring or isinstance(node, (ast.Import, ast.ImportFrom))
-
-    assert not [ast.unparse(node) for node in modules()[name][1].body if not is_re_export(node)]
+def is_annotated(node):
+    """Whether a function has types, or is compiled by Taichi."""
+    names = {ast.unparse(each).split("(")[0].split(".")[-1] for each in node.decorator_list}
+    spread = [each for each in (node.args.vararg, node.args.kwarg) if each]
+    given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs, *spread]
+    missing = [each for each in given if each.annotation is None and each.arg not in {"self", "cls"}]
+    has_types = not missing and (node.returns is not None or node.name == "__init__")
+    return has_types or bool(names & TAICHI_DECORATORS)
 
 
 def test_host_functions_of_the_taichi_layers_are_annotated():
-    """The linter enforces annotations in the other layers; only functions compiled by Taichi may omit
-    types."""
-
-    def runs_in_taichi(node):
-        return any(
-            ast.unparse(d).split("(")[0].split(".")[-1] in TAICHI_DECORATORS for d in node.decorator_list
-        )
-
-    def is_annotated(node):
-        named = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-        spread = [a for a in (node.args.vararg, node.args.kwarg) if a]
-        missing = [a for a in [*named, *spread] if a.annotation is None and a.arg not in {"self", "cls"}]
-        return not missing and (node.returns is not None or node.name == "__init__")
-
-    positions = [str(Path("granflow", name)) for name in TAICHI_LAYERS]
-    unannotated = [
-        where
-        for where, node in functions()
-        if where.startswith(tuple(positions)) and not runs_in_taichi(node) and not is_annotated(node)
+    """The linter enforces annotations in the other layers."""
+    trees = {name: tree for name, (_, tree) in modules().items() if layer(name) in TAICHI_LAYERS}
+    functions = [(name, node) for name, tree in trees.items() for node in ast.walk(tree)]
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
+    bare = [
+        f"{name}:{node.lineno}"
+        for name, node in functions
+        if isinstance(node, kinds) and not is_annotated(node)
     ]
-    assert not unannotated
-
-
-def test_top_level_contains_only_listed_entries():
-    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
-    if listing.returncode:
-        pytest.skip("not a git checkout")
-    top = {name.split("/")[0] for name in listing.stdout.split("\0") if name}
-    assert not {name for name in top if name not in TOP_LEVEL and not name.startswith(".")}
+    assert not bare
