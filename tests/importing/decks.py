@@ -62,6 +62,14 @@ group one type 1
 group two type 2"""
 
 
+def pairwise(**values):
+    """Properties of pairs of types, with one value for all pairs."""
+    lines = (
+        f"fix q{key} all property/global {key} peratomtypepair 2" + 4 * f" {x}" for key, x in values.items()
+    )
+    return "\n".join(lines) + "\n"
+
+
 def liggghts(
     units="si", properties="", model=HERTZ, wall=None, insertion=PACK, end="run 1000", boundary="f f f"
 ):

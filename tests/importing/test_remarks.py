@@ -1,7 +1,5 @@
 """What a scene does not have: the kind and the reason in the report of the line, and errors of scripts."""
 
-import re
-
 import pytest
 from importing.decks import (
     ATOMS,
@@ -13,6 +11,7 @@ from importing.decks import (
     imported,
     lammps,
     liggghts,
+    pairwise,
     remarks,
     write_square,
 )
@@ -20,11 +19,14 @@ from importing.decks import (
 from granflow.errors import GranflowError
 
 GRANULAR = "pair_style granular\npair_coeff * * hertz/material 1e7 0.9 0.3 tangential mindlin NULL 1 0"
-ROLLING = "fix m6 all property/global coefficientRollingFriction peratomtypepair 2 0.1 0.1 0.1 0.1"
-VISCOUS = "fix m7 all property/global coefficientRollingViscousDamping peratomtypepair 2 0.1 0.1 0.1 0.1"
+ROLLING = pairwise(coefficientRollingFriction=0.1, coefficientRollingViscousDamping=0.1)
 REGION = (
     "variable t equal step*dt\ncompute c all ke\nvariable c equal c_c\nregion r {}\n"
     "fix w all wall/gran/region hooke/history 1000 NULL 300 NULL 0.5 1 region r\nrun 100"
+)
+OUTPUT = (
+    "compute c all reduce sum x\ndump d all image 10 f.jpg type type\npair_style soft 1.0\nrestart 10 a b\n"
+    "fix p all property/atom mine scalar yes no no 0\ndelete_atoms region box compress no\n"
 )
 PLATE = "fix cad all mesh/surface file square.stl type 1"
 MESH = "fix cad all mesh/surface/stress/servo file square.stl type 1 com 0 0 0 ctrlPV force axis 0 0 1 vel_max 0.2"
@@ -50,6 +52,7 @@ def with_atoms(**parts):
          "pair_coeff", "approximated", "depends on the velocity; here it is that at 1 m/s"),
         (lammps("pair_style none", end="fix w all wall/gran hooke 1e4 NULL 100 NULL 0 1 zplane 0 NULL\nrun 9"),
          "pair_style none", "not possible", "without contacts with each other"),
+        (with_atoms(atoms=ATOMS.replace("group one", f"{OUTPUT}group one")), "compute c", "not needed", ""),
         (with_atoms(end="neigh_modify exclude type 1 2\nrun 9"), "neigh_modify", "not possible", "exclude type 1 2"),
         (with_atoms(end="neigh_modify delay 0\nrun 9"), "neigh_modify", "not needed", "neighbor list"),
         (with_atoms(end="neigh_modify exclude group one one\nfix f one freeze\nrun 9"), "neigh_modify", "not needed", ""),
@@ -68,7 +71,7 @@ def with_atoms(**parts):
         (with_atoms(end="fix s all deform 1 x erate 1\nrun 9"), "fix s", "not possible", "without periodic boundaries"),
         (lammps(atoms="lattice sq 0.01\ncreate_atoms 1 region source\nset group all diameter 1"), "lattice sq", "not possible", ""),
         (liggghts(model=f"{HERTZ} ktToKnUser on"), "pair_style", "not possible", "ktToKnUser"),
-        (liggghts(properties=f"{ROLLING}\n{VISCOUS}", model=f"{HERTZ} rolling_friction cdt", wall=f"{HERTZ} rolling_friction epsd2"),
+        (liggghts(properties=ROLLING, model=f"{HERTZ} rolling_friction cdt", wall=f"{HERTZ} rolling_friction epsd2"),
          "fix floor", "approximated", "the rolling law is cdt for all contacts, here epsd2"),
         (liggghts().replace("fix g all", "group late type 1\nfix g late"), "fix g", "not possible", "members of all"),
         (liggghts().replace("fix i all", "group late type 1\nfix i late"), "fix i", "approximated", "does not move the"),
@@ -126,16 +129,6 @@ def test_remark(tmp_path, text, part, kind, reason):
     )
 
 
-def test_every_line_has_a_remark(tmp_path):
-    end = 'shell mkdir post\nvariable n equal 5\nif "$n > 4" then "run $n" else "run 1"\nrun 5 upto'
-    found, _ = imported(tmp_path, liggghts(end=end))
-    assert (
-        len(list(found.report.lines())) >= liggghts(end=end).count("\n") - 3
-    )  # an empty line before and in the text
-    assert found.report.is_complete
-    assert remarks(found, "m4 all") == [("translated", "pairs.NAME.friction")]
-
-
 READ = {
     with_atoms: [
         *("timestep 1e-5", "boundary f f f", "create_box 2 box", "pair_coeff * *", "fix i all nve/sphere"),
@@ -163,90 +156,48 @@ def test_words_at_the_end_that_nothing_reads_are_not_possible(tmp_path, deck, li
     assert [kind for kind, _ in remarks(found, "surplus")] == ["not possible"]
 
 
-def test_words_of_what_is_not_needed_are_permitted(tmp_path):
-    lines = (
-        "compute c all reduce sum x\ndump d all image 10 f.jpg type type\npair_style soft 1.0\nrestart 10 a b\n"
-        "fix p all property/atom mine scalar yes no no 0\ndelete_atoms region box compress no\n"
-    )
-    found, _ = imported(tmp_path, with_atoms(atoms=ATOMS.replace("group one", f"{lines}group one")))
-    assert all("at the end of the line" not in sentence for _, _, _, sentence in found.report.lines())
-
-
-def test_friction_while_the_dashpot_pulls(tmp_path):
-    """The largest differences of oblique impacts with the restitution 0.6 and the friction 0.4, in units of the normal
-    velocity: 0.0284 and 2.5 times of it, of both laws, integrated in 2000 steps per unit of time."""
-    text = (
-        liggghts().replace("0.5 0.6 0.6 0.7", "0.6 0.6 0.6 0.6").replace("0.1 0.2 0.2 0.3", "0.4 0.4 0.4 0.4")
-    )
-    found, _ = imported(tmp_path, text.replace("0.45 0.3", "0.3 0.3"))
-    pattern = r"by up to about (\S+) of .* by (\S+) in the surface"
-    said = re.search(pattern, str(remarks(found, "pair_style")))
-    assert [float(each) for each in said.groups()] == pytest.approx([0.0284, 0.0709], rel=0.12)
-    limited, _ = imported(tmp_path, liggghts(model=f"{HERTZ} limitForce on"))
-    assert "the dashpot of the code pulls" not in str(remarks(limited, "pair_style"))
-
-
 @pytest.mark.parametrize(
     ("deck", "old", "new", "message"),
     [
         (liggghts, "timestep 1e-5", "timestep fast", "in.deck:14: the time step is fast, which is not a number"),
-        (liggghts, "timestep 1e-5", "timestep v_dt", "it cannot change during a run"),
         (liggghts, "gravity 9.81", "gravity v_g", "in.deck:15: there is no variable g; define it"),
         (liggghts, "timestep 1e-5", "timestep -1", "the time step is -1; give a time above 0"),
         (liggghts, "5e6 1e7", "5e6", "youngsModulus has no number for type 2"),
         (liggghts, "0.45 0.3", "0.45 1.3", "poissonsRatio has the number 1.3; give one from 0 to 0.5"),
         (liggghts, "fix m3", "#", "needs fix property/global coefficientRestitution"),
         (liggghts, "0.1 0.2 0.2 0.3", "0.1 0.2 0.3 0.3", "not symmetric: types 1 and 2"),
-        (liggghts, "region box part", "region no part", "there is no region no. Regions: box"),
         (liggghts, "model hertz", "modle hertz", "contact models have no keyword modle. Did you mean model"),
         (liggghts, "all_in yes", "allin yes", "insert/pack has no keyword allin. Did you mean all_in"),
         (liggghts, "distributiontemplate d", "distributiontemplate e", "no fix particledistribution/discrete e"),
         (liggghts, "run 1000", "unfix x", "there is no fix x to unfix"),
         (liggghts, "run 1000", "", "the script has no run"),
         (liggghts, "radius constant 0.002", "radius constant", "the radius is missing at the end"),
-        (liggghts, "primitive type 2", "primitive type 1.5", "the type is 1.5; give a whole number"),
         (liggghts, "primitive type 2", "primitive type 3", "the type is 3, but the box is made for the types 1 to 2"),
-        (liggghts, "zplane 0.0", "wplane 0", "there is no wall wplane"),
         (liggghts, "run 1000", "run -5", "the number of steps is -5; give one of at least 0"),
         (liggghts, "fix i all", "fix i moving", "there is no group moving. Groups: all"),
-        (liggghts, "run 1000", "group a tipe 1", "groups have no style tipe"),
         (liggghts, "2 p1 0.25 p2", "2 p1 0.25 p3", "there is no particle template p3. Templates: p1, p2"),
         (liggghts, "particles_in_region 50", "volumefraction_region 1.5", "fraction is 1.5; give one below 1"),
-        (liggghts, "particles_in_region 50", "particles_in_region 5 orientation up", "orientation is up"),
         (liggghts, "fix i", "fix l all property/global surfaceLiquidContentInitial scalar -1\nfix i", "give one from 0 to inf"),
         (liggghts, "primitive type 2 zplane 0.0", "mesh n_meshes 2 meshes a", "n_meshes is 2, but fewer names follow"),
-        (liggghts, "primitive type 2 zplane 0.0", "mesh n_meshes 1 meshes a", "there is no fix mesh/surface a"),
-        (liggghts, "primitive type 2 zplane 0.0", "mesh nmeshes 1 meshes a", "before the unknown keyword nmeshes"),
         (liggghts, "run", f"{MESH}\nfix w all {WALL} mesh n_meshes 0 meshes cad\nrun", "n_meshes is 0, but the mesh cad follows"),
         (liggghts, "run", f"{MESH} target_val 1\n{MESHES}\nrun 9\nunfix cad\nrun", "fix w uses the mesh cad; unfix w"),
         (liggghts, "run", f"{MESH}\n{MESHES}\nfix_modify cad integrate stop\nrun", "a servo needs target_val"),
         (liggghts, "run", "fix cad all mesh/surface file no.stl type 1\nrun", "there is no such file"),
         (liggghts, "run", "fix m all move/mesh mesh cad linear 1 0 0\nrun", "there is no fix mesh/surface cad"),
-        (liggghts, "block 0 0.1", "block 1 0", "begins at 1"),
         (liggghts, "region box block", "region box ball", "there is no region style ball"),
         (liggghts, "run", "region r sphere 0 0 0 -1 units box\nrun", "the radius is -1"),
         (liggghts, "boundary f f f", "boundary f f q", "the boundary of z is q"),
-        (liggghts, "create_box 2 box", "create_box 1 none", "there is no region none"),
         (lammps, "region source", "lattice custom 0.01 a1 2 0 0 a2 0 1 0 a3 0 0 1 basis 0 0 0\nregion source", "other lengths along x, y and z"),
         (lammps, HOOKE, "pair_style granular", "no pair_coeff gives the models of pair_style granular"),
         (lammps, "timestep", "units cgs\ntimestep", "units follows the box"),
         (lammps, POUR, f"{ATOMS}\nvelocity all set 1 0 0 summ yes", "has no keyword summ. Did you mean sum"),
         (lammps, "source block 0.04 0.06 0.04 0.06 0.1 0.15", "source sphere 0.05 0.05 0.05 0.01", "is a sphere; pour requires"),
         (lammps, "fix g all gravity 10 vector 0 0 -1\n", "", "fix pour needs a fix gravity along -z"),
-        (lammps, "dens 2500 2500", "dens -1 -1", "the density is -1; give a number above 0"),
         (lammps, "pour 100", "pour 0", "particles is 0; give a whole number from 1"),
-        (lammps, "run 100", "run INF", "the number of steps is INF"),
         (lammps, "gravity 10", "gravity 1e-300", "is 1e-300; give 0 or a magnitude from 1e-30 to 1e"),
-        (lammps, "create_box 2", "create_box 1e15", "types is 1e15; give a whole number from 1 to 1000"),
-        (lammps, POUR, "create_atoms 1 random -1 7 NULL", "the number is -1; give a whole number from 0"),
-        (lammps, HOOKE, GRANULAR.replace("0.9 0.3", "-0.5 0.3"), "eta_n0 is -0.5; give 0 or a number above 0"),
-        (lammps, HOOKE, GRANULAR.replace("1e7", "0"), "E is 0; give a number above 0"),
         (lammps, HOOKE, GRANULAR.replace("0.9 0.3", "0.9 1"), "nu is 1; give a Poisson ratio"),
-        (lammps, HOOKE, GRANULAR.replace("0.9 0.3", "0.9 -1"), "nu is -1; give a Poisson ratio"),
-        (lammps, "NULL 300 NULL", "NULL -300 NULL", "gamma_n is -300; give 0 or a number above 0"),
         (lammps, "history 1000", "history -1", "Kn is -1; give a number above 0"),
         (lammps, "run 100", "thermo_modify lost ignore foo\nrun 100", "thermo_modify has no keyword foo"),
-        (lammps, "run 100", "thermo_modify lost\nrun 100", "the value of lost is missing"),
     ],
 )  # fmt: skip
 def test_errors(tmp_path, deck, old, new, message):
