@@ -18,9 +18,6 @@ from granflow.io.vtu import read_vtu
 from granflow.particles.file import read_particles
 from granflow.visible_text import visible
 
-POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-
-
 WRITTEN_BY_VTK = """
 import itertools, sys, vtk
 modes, compressors = ("Ascii", "Binary", "Appended", "Raw"), ("None", "ZLib", "LZMA")
@@ -60,33 +57,19 @@ def test_files_of_vtk_are_read_in_every_mode(tmp_path):
         assert block.data.tolist() == [[n, n + 1, n + 2] for n in k[:-2]], path.name
 
 
-MESH = meshio.Mesh(POINTS, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))])
-
-
-def half(raw):
-    return raw[: len(raw) // 2]
-
-
-DAMAGED_VTU = {
-    "truncated": (half, "cannot be read as VTU: "),
-    "no XML": (lambda raw: b"solid", "cannot be read as VTU: "),
-    "fewer points than declared": (
-        lambda raw: raw.replace(b'NumberOfPoints="4"', b'NumberOfPoints="5"'),
-        "cannot reshape",
-    ),
-    "another grid": (lambda raw: b'<VTKFile type="ImageData"/>', "Expected type UnstructuredGrid"),
-    "two pieces": (lambda raw: raw.replace(b"</Piece>", b"</Piece><Piece />"), "has 2 pieces"),
-    "no cells": (lambda raw: raw.replace(b'NumberOfCells="2"', b'NumberOfCells="0"'), "has no cells"),
-}
-
-
-@pytest.mark.parametrize("name", DAMAGED_VTU)
-def test_damaged_vtu_is_rejected(tmp_path, name):
-    damage, message = DAMAGED_VTU[name]
+@pytest.mark.parametrize(("old", "new", "message"), [
+    (b"</Points>", b"", "cannot be read as VTU: "),
+    (b'NumberOfPoints="4"', b'NumberOfPoints="5"', "cannot reshape"),
+    (b'type="UnstructuredGrid"', b'type="ImageData"', "Expected type UnstructuredGrid"),
+    (b"</Piece>", b"</Piece><Piece />", "has 2 pieces"),
+    (b'NumberOfCells="2"', b'NumberOfCells="0"', "has no cells"),
+])  # fmt: skip
+def test_damaged_vtu_is_rejected(tmp_path, old, new, message):
     path = tmp_path / "a.vtu"
-    meshio.write(path, MESH)
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    meshio.write(path, meshio.Mesh(points, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))]))
     assert len(read_triangles(path).corners) == 2
-    path.write_bytes(damage(path.read_bytes()))
+    path.write_bytes(path.read_bytes().replace(old, new))
     with pytest.raises(FormatError, match=message):
         read_triangles(path)
     with pytest.raises(SceneError, match=message):
@@ -102,18 +85,13 @@ def test_negative_indices_of_obj_count_from_the_preceding_vertex(tmp_path):
     assert triangles.quad_count == 1
 
 
-@pytest.mark.parametrize(
-    ("face", "message"),
-    [
-        ("f -4 -1 -2", "does not contain in line 4"),
-        ("f 1 2 0", "does not contain in line 4"),
-        ("f 1 2 9", "does not contain"),
-        ("f 1 2 x", "line 4 has the corner 'x'"),
-        ("f 1 2", "face of 2 corners in line 4"),
-        ("f 1 2 3 1 2", "face of 5 corners in line 4"),
-        ("v 1 2", "line 4 needs three coordinates"),
-    ],
-)
+@pytest.mark.parametrize(("face", "message"), [
+    ("f 1 2 0", "does not contain in line 4"),
+    ("f 1 2 9", "does not contain"),
+    ("f 1 2 x", "line 4 has the corner 'x'"),
+    ("f 1 2 3 1 2", "face of 5 corners in line 4"),
+    ("v 1 2", "line 4 needs three coordinates"),
+])  # fmt: skip
 def test_invalid_lines_of_obj_are_reported(tmp_path, face, message):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
     with pytest.raises(FormatError, match=message):
@@ -121,30 +99,23 @@ def test_invalid_lines_of_obj_are_reported(tmp_path, face, message):
 
 
 def test_circular_links_are_rejected_without_traceback(tmp_path, capsys):
-    loop = tmp_path / "loop"
+    loop = tmp_path / "loop.stl"
     loop.symlink_to(loop)
     with pytest.raises(OSError, match="symbolic links"):
         resolved(loop)
-    for command in (("check",), ("run",), ("analyze",), ("report",), ("render",), ("resume",)):
-        assert main([*command, str(loop)]) == 2
+    for command in ("check", "run", "report", "resume"):
+        assert main([command, str(loop)]) == 2
         assert "Traceback" not in capsys.readouterr().err
-    for suffix in ("stl", "obj", "vtu", "ply", "vtk"):
-        (tmp_path / f"loop.{suffix}").symlink_to(tmp_path / f"loop.{suffix}")
-        with pytest.raises(FormatError, match="cannot be read"):
-            read_triangles(tmp_path / f"loop.{suffix}")
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_triangles(loop)
 
 
-CONTROL_CHARACTERS = "a\x00b\x1b[2Jc\x9bd"
-
-
-def test_control_characters_are_escaped(capsys):
-    assert visible(CONTROL_CHARACTERS) == "a\\x00b\\x1b[2Jc\\x9bd"
+def test_control_characters_and_newlines_are_escaped(tmp_path, capsys):
+    text = "a\x00b\x1b[2Jc\x9bd"
+    assert visible(text) == "a\\x00b\\x1b[2Jc\\x9bd"
     assert visible("Schüttgut 砂 μm²\tä\n") == "Schüttgut 砂 μm²\tä\n"
-    say(CONTROL_CHARACTERS)
-    assert capsys.readouterr().out == visible(CONTROL_CHARACTERS) + "\n"
-
-
-def test_log_escapes_newlines(tmp_path):
+    say(text)
+    assert capsys.readouterr().out == visible(text) + "\n"
     with pytest.raises(SceneError), run_log(tmp_path) as log:
         log.info("out\nput")
         raise SceneError(["a\nb", "c"])
