@@ -4,7 +4,6 @@ equations."""
 from typing import Any
 
 import numpy as np
-import pytest
 from geometry.meshes import write
 from scene_builders import build_scene, particle_group, plane, run_to_end
 from scipy.integrate import solve_ivp
@@ -70,7 +69,7 @@ STARTS = {
 """Position [m], velocity [m/s] and angular velocity [rad/s] of each particle at the start."""
 
 
-def derivatives(surface, springs, t, state):
+def derivatives(surface, t, state):
     """Time derivatives of position, velocity, angular velocity and displacements; load [N].
 
     Spring of friction s, of rolling a and of twist b; the first two turn with the contact plane:
@@ -87,33 +86,28 @@ def derivatives(surface, springs, t, state):
     relative = v - np.cross(turning, x - arm * n - pivot)
     rate = w - turning
     slip = relative - relative @ n * n - arm * np.cross(w, n)
-    friction = springs[0] * TANGENTIAL * s
+    friction = TANGENTIAL * s
     load = NORMAL * (RADIUS - distance)
-    torque = arm * np.cross(n, friction) - springs[1] * ROLLING * radius_eff**2 * a - TORSION * b * n
+    torque = arm * np.cross(n, friction) - ROLLING * radius_eff**2 * a - TORSION * b * n
     changes = slip - s @ turn * n, rate - rate @ n * n - a @ turn * n, [rate @ n]
     return np.concatenate([v, GRAVITY + (load * n - friction) / MASS, torque / INERTIA, *changes]), load
 
 
-def integrated(name, springs):
+def integrated(name):
     """Position and angular velocity (6,) at the end, with the method of Dormand and Prince of order 8."""
     surface = SURFACES[name]
     times = np.linspace(0.0, DURATION, 200)
     start = np.concatenate([*STARTS[name], np.zeros(7)])
     found = solve_ivp(
-        lambda t, state: derivatives(surface, springs, t, state)[0], times[[0, -1]], start, "DOP853", times,
-        rtol=1e-8, atol=1e-12,
+        lambda t, state: derivatives(surface, t, state)[0], times[[0, -1]], start, "DOP853", times, rtol=1e-8, atol=1e-12
     ).y  # fmt: skip
-    assert (
-        min(derivatives(surface, springs, t, state)[1] for t, state in zip(times, found.T, strict=True)) > 0.0
-    )
+    assert min(derivatives(surface, *each)[1] for each in zip(times, found.T, strict=True)) > 0.0
     return np.concatenate([found[0:3, -1], RADIUS * found[6:9, -1]])
 
 
-def simulated(steps, springs):
+def simulated(steps):
     """The same (particles, 6) of all particles in one scene."""
-    position, velocity, angular_velocity = (
-        np.array([start[k] for start in STARTS.values()]) for k in range(3)
-    )
+    position, velocity, angular_velocity = (np.array(each) for each in zip(*STARTS.values(), strict=True))
     fine = particle_group(position, 2 * RADIUS, velocity=velocity, angular_velocity=angular_velocity)
     turning, rising = (
         {"kind": "rotation", "point": point.tolist(), "axis": axis, "angular_velocity": rate}
@@ -129,7 +123,7 @@ def simulated(steps, springs):
             "edge": {"shape": "mesh", "file": "ridge.stl", "material": "glass"},
         },
         materials={"glass": {"young_modulus": 1e6, "poisson_ratio": POISSON_RATIO, "density": DENSITY}},
-        pair={"restitution": 1.0, "friction": 1e3 * springs[0], "rolling_friction": 1e3 * springs[1], "twisting_friction": 1.0},
+        pair={"restitution": 1.0, "friction": 1e3, "rolling_friction": 1e3, "twisting_friction": 1.0},
         gravity=GRAVITY.tolist(),
         contact={"normal": {"law": "linear", "stiffness": {"value": NORMAL}}, "rolling": "epsd",
                  "tangential": {"law": "linear_history", "stiffness": TANGENTIAL},
@@ -142,11 +136,7 @@ def simulated(steps, springs):
     return np.concatenate([particles["position"][fine], RADIUS * particles["angular_velocity"][fine]], axis=1)
 
 
-@pytest.mark.parametrize(
-    "springs",
-    [pytest.param((1, 0), id="friction"), pytest.param((0, 1), id="rolling", marks=pytest.mark.slow)],
-)
-def test_trajectories_with_spin_converge_with_second_order(taichi_f64, tmp_path, monkeypatch, springs):
+def test_trajectories_with_spin_converge_with_second_order(taichi_f64, tmp_path, monkeypatch):
     """On a sphere, in a rotating drum, on a turning plate and over the edge of a mesh, springs below their
     limits.
 
@@ -157,11 +147,9 @@ def test_trajectories_with_spin_converge_with_second_order(taichi_f64, tmp_path,
     ridge = EDGE + np.array([[-0.01, 0, 0], [0.01, 0, 0], [-0.01, 0.01, -0.01], [0.01, 0.01, -0.01],
                              [-0.01, -0.01, -0.01], [0.01, -0.01, -0.01]])  # fmt: skip
     write(tmp_path / "ridge.stl", ridge, np.array([[0, 1, 3], [0, 3, 2], [0, 4, 5], [0, 5, 1]]))
-    exact = np.array([integrated(name, springs) for name in STARTS])
+    exact = np.array([integrated(name) for name in STARTS])
     scale = np.array([1e-3] * 3 + [1e-1] * 3)  # displacement [m] and surface velocity [m/s]
-    errors = np.array(
-        [np.linalg.norm((simulated(n, springs) - exact) / scale, axis=1) for n in (500, 1000, 2000)]
-    )
+    errors = np.array([np.linalg.norm((simulated(n) - exact) / scale, axis=1) for n in (500, 1000, 2000)])
     orders = np.log2(errors[:-1] / errors[1:])
     assert np.all(np.abs(orders - 2.0) < 0.2), dict(zip(STARTS, orders.T.round(2).tolist(), strict=True))
     assert errors[-1].max() < 0.01

@@ -72,14 +72,23 @@ def test_archard_is_force_times_sliding_distance(worn):
     """A sphere that slides during the whole impact: friction slows the surface by 7/2 mu dJ / m.
 
     V = k / H * integral of F v dt = k / H * (v J - 7/4 mu J^2 / m),    J: normal momentum
+
+    Rows have totals; frames have no depth of an infinite wall, and the mean depth of a plate.
     """
-    last, _ = worn
+    last, folder = worn
     normal_momentum = MASS * (last.particles["velocity"][: len(SLIDING), 2] + 0.5)
     sliding = 1.5 * normal_momentum - 1.75 * FRICTION * normal_momentum**2 / MASS
-    expected = 1e-3 / 2e9 * sliding.sum()
-    assert last.totals["wear_volume.plate"] == pytest.approx(expected, rel=2e-3)
+    volume = last.totals["wear_volume.plate"]
+    assert volume == pytest.approx(1e-3 / 2e9 * sliding.sum(), rel=2e-3)
     assert last.totals["wear_tangential_work.plate"] == pytest.approx(FRICTION * sliding.sum(), rel=2e-3)
+    assert last.totals["wear_tangential_work.coarse"] == last.totals["wear_normal_work.floor"] == 0.0
     assert ArchardWear.reference_power(Load(5.0, 4.0, 0.5, -1.0, 2.0)) == 2.0
+    rows = list(csv.DictReader((folder / "timeseries.csv").open()))
+    assert [float(rows[k]["wear_volume.plate [m3]"]) for k in (0, -1)] == [0.0, volume]
+    frame = meshio.read(folder / "walls_0002.vtu")
+    wall, depth = (frame.cell_data[name][0] for name in ("wall", "wear_depth"))
+    np.testing.assert_allclose(depth[wall == 0], volume / 0.04, rtol=1e-6)
+    assert np.isnan(depth[wall == 3]).all()
 
 
 def test_triangles_of_a_mesh_have_the_wear_of_the_plane(worn):
@@ -118,16 +127,3 @@ def test_finnie_integrates_over_the_angles_of_an_impact(worn, triangle_angle):
     below = centers[:, 1] < centers[:, 0]
     depth = frame.cell_data["wear_depth"][0][of_coarse][below == (triangle_angle == ANGLES[0])]
     assert depth * (0.5 * 0.4**2) == pytest.approx(expected, rel=3e-3)
-
-
-def test_files_of_worn_walls(worn):
-    """Rows have totals; frames have no depth of an infinite wall, and the mean depth of a plate."""
-    last, folder = worn
-    rows = list(csv.DictReader((folder / "timeseries.csv").open()))
-    assert float(rows[-1]["wear_volume.plate [m3]"]) == last.totals["wear_volume.plate"]
-    assert float(rows[0]["wear_volume.plate [m3]"]) == 0.0
-    assert last.totals["wear_normal_work.floor"] == 0.0
-    frame = meshio.read(folder / "walls_0002.vtu")
-    wall, depth = (frame.cell_data[name][0] for name in ("wall", "wear_depth"))
-    np.testing.assert_allclose(depth[wall == 0], last.totals["wear_volume.plate"] / 0.04, rtol=1e-6)
-    assert np.isnan(depth[wall == 3]).all()
