@@ -26,6 +26,14 @@ def particles_of(count, seed=0, **replaced):
     return {**arrays_of(PARTICLE_QUANTITIES, count, seed), **single, **replaced}
 
 
+def spheres_of(position, **replaced):
+    """Mobile spheres of 1 kg at positions (n, 3) [m], of one group and material, each with three contacts."""
+    none = np.zeros(len(position), int)
+    same = {"position": position, "fixed": none, "mass": none + 1.0, "material": none, "group": none}
+    contacts = {"coordination_number": none + 3, "wall_contact_count": none}
+    return particles_of(len(position), **same | contacts | replaced)
+
+
 def snapshot_of(time=0.0, step=0, stage="run", particles=None, contacts=None, walls=None, totals=None):
     """A snapshot of the given parts; by default of five particles with two totals, without contacts and
     walls."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from observers.snapshots import particles_of, snapshot_of
+from observers.snapshots import snapshot_of, spheres_of
 
 from granflow.observers.meters import (
     FlowCount,
@@ -14,30 +14,21 @@ from granflow.observers.meters import (
 from granflow.scene.blocks.output import FlowMeter
 
 
+def falling(samples, **replaced):
+    """Snapshots at times 0, 1, 2, ... of particles {id: position} with the mass 2^id [kg], inserted at -id / 2 [s]."""
+    for time, places in enumerate(samples):
+        ids = np.array(sorted(places), dtype=np.int64)
+        position = np.array([places[i] for i in ids], dtype=float).reshape(-1, 3)
+        arrays = {"velocity": 0.0 * position, "radius": 0.0 * ids + 0.2, "material": ids % 2}
+        arrays |= {"id": ids, "mass": 2.0**ids, "insertion_time": -0.5 * ids}
+        yield snapshot_of(time=float(time), particles=spheres_of(position, **arrays | replaced))
+
+
 def measured(meter, *samples):
-    """Updates the meter with samples {id: position} at times 0, 1, 2, ...; returns mass (2^id [kg] each) and
-    count.
-
-    Particle i was inserted at -i / 2 [s].
-    """
-    for time, particles in enumerate(samples):
-        ids = sorted(particles)
-        arrays = {
-            "id": np.array(ids, dtype=np.int64),
-            "position": np.array([particles[i] for i in ids], dtype=float).reshape(-1, 3),
-            "mass": np.array([2.0**i for i in ids]),
-            "insertion_time": np.array([-0.5 * i for i in ids]),
-            **at_rest(len(ids)),
-        }
-        meter.update(snapshot_of(time=float(time), particles=arrays))
+    """Mass and count of the meter after samples."""
+    for snapshot in falling(samples):
+        meter.update(snapshot)
     return meter.total.mass, meter.total.count
-
-
-def at_rest(count):
-    return {
-        "velocity": np.zeros((count, 3)), "radius": np.full(count, 0.2),
-        "group": np.zeros(count, np.int32), "material": np.zeros(count, np.int32),
-    }  # fmt: skip
 
 
 def down(radius=None):
@@ -82,37 +73,25 @@ def test_rectangle_counts_particles_within_its_sides():
 
 
 def test_group_by_material_counts_each_material_also_after_a_resume():
-    def update(meter, time, heights):
-        ids = np.array(sorted(heights))
-        arrays = {
-            "id": ids, "position": np.array([[0.0, 0.0, heights[i]] for i in ids]), "mass": 2.0**ids,
-            "insertion_time": np.zeros(len(ids)), **at_rest(len(ids)), "material": ids % 2,
-        }  # fmt: skip
-        meter.update(snapshot_of(time=time, particles=arrays))
-
     plane = FlowMeter(point=(0, 0, 1), normal=(0, 0, -1), group_by="material")
     first, resumed = (FlowCounter(plane, parts=("glass", "steel")) for _ in range(2))
-    update(first, 0.0, {0: 2, 1: 2, 2: 2, 3: 2})
-    update(first, 1.0, {0: 0, 1: 2, 2: 0, 3: 0})
+    snapshots = list(falling([{0: UP, 1: UP, 2: UP, 3: UP}, {0: DOWN, 1: UP, 2: DOWN, 3: DOWN}, {1: DOWN}]))
+    first.update(snapshots[0])
+    first.update(snapshots[1])
     resumed.load_state_dict(first.state_dict())
-    update(resumed, 2.0, {1: 0})
+    resumed.update(snapshots[2])
     assert (resumed.total.mass, resumed.total.count) == (1.0 + 2.0 + 4.0 + 8.0, 4)
     np.testing.assert_equal(list(resumed.parts["glass"].readings().values()), [5.0, 2, 0.0, np.nan])
-    np.testing.assert_equal(list(resumed.parts["steel"].readings().values()), [10.0, 2, 2.0, 1.5])
+    np.testing.assert_equal(list(resumed.parts["steel"].readings().values()), [10.0, 2, 2.0, 2.0])
 
 
 def test_residence_time_ends_where_the_straight_path_reaches_the_plane():
     """Particles 0, 2 and 3 pass between 0 and 1 s, at 1/2, 1/2 and 1/4 s of a uniform motion; 1 passes
     backward. Particle 4, 1 m above the plane at 1 s with 4 m/s downward, is deleted: it passes at 1.25 s."""
     meter = down()
-    above = (0, 0, 2)
-    below = (0, 0, 0)
-    measured(
-        meter,
-        {0: above, 1: below, 2: above, 3: (0, 0, 1.5), 4: above},
-        {0: below, 1: above, 2: below, 3: (0, 0, -0.5), 4: above},
-    )
-    assert np.isnan(down().total.readings()["residence_time"]), "without passages"
+    assert np.isnan(meter.total.readings()["residence_time"]), "without passages"
+    before = {0: UP, 1: DOWN, 2: UP, 3: (0, 0, 1.5), 4: UP}
+    measured(meter, before, {0: DOWN, 1: UP, 2: DOWN, 3: (0, 0, -0.5), 4: UP})
     times = np.array([0.5, 0.5 + 1.0, 0.25 + 1.5])
     assert meter.total.readings()["residence_time"] == pytest.approx(times.mean(), rel=1e-15)
     saved = meter.state_dict()
@@ -200,17 +179,11 @@ def test_a_clump_passes_once_with_its_center_of_mass():
     meter = down()
     for fallen in (0.0, 2.0):
         height = np.array([1.3, 1.9, 2.2]) - fallen
-        arrays = {
-            "clump": np.array([0, 0, -1]),
-            "position": np.stack([np.zeros(3), np.zeros(3), height], axis=1),
-            "clump_position": np.stack(
-                [np.zeros(3), np.zeros(3), [1.6 - fallen] * 2 + [2.2 - fallen]], axis=1
-            ),
-            "mass": np.array([1.0, 1.0, 5.0]),
-            "clump_mass": np.array([2.0, 2.0, 5.0]),
-            "radius": np.array([0.1, 0.2, 0.3]),
-        }
-        meter.update(snapshot_of(fallen, particles=particles_of(3, **arrays)))
+        place = np.outer(height, [0.0, 0.0, 1.0])
+        center = np.outer([1.6 - fallen, 1.6 - fallen, 2.2 - fallen], [0.0, 0.0, 1.0])
+        masses = {"mass": np.array([1.0, 1.0, 5.0]), "clump_mass": np.array([2.0, 2.0, 5.0])}
+        own = {"clump": np.array([0, 0, -1]), "clump_position": center, "radius": np.array([0.1, 0.2, 0.3])}
+        meter.update(snapshot_of(fallen, particles=spheres_of(place, **masses, **own)))
     assert (meter.total.count, meter.total.mass) == (2, 7.0)
     assert meter.passages.id.tolist() == [0, 2] and meter.passages.radius.tolist() == [0.2, 0.3]
     assert meter.passages.time == pytest.approx([0.6, 1.2])

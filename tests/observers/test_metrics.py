@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from observers.snapshots import contacts_of, particles_of, snapshot_of
+from observers.snapshots import contacts_of, snapshot_of, spheres_of
 from scene_builders import build_scene, particle_group, plane
 
 from granflow.errors import SceneError
@@ -129,22 +129,18 @@ def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, l
             assert slope.error == pytest.approx(error / 1.25, rel=1e-9)
 
 
-def contacts_along(directions):
-    start = np.zeros_like(directions)
-    return {"position_i": start, "position_j": directions, "wall": np.full(len(start), -1)}
-
-
 def test_fabric_of_known_directions():
-    """Parallel contacts: n n, anisotropy 1. Isotropic contacts: 1/3 on the diagonal, with scatter. Walls
-    excluded. Isotropic in a plane (Thornton): F = diag(1/2, 1/2, 0), D:D = 1/6."""
-    random = np.random.default_rng(0).normal(size=(20_000, 3))
-    found = fabric_tensor(contacts_along(random))
-    np.testing.assert_allclose(found, np.eye(3) / 3.0, atol=4.0 * 0.3 / np.sqrt(20_000))
-    upright = contacts_along(np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -0.1], [1.0, 0.0, 0.0]]))
-    upright["wall"] = np.array([-1, -1, 0])
-    np.testing.assert_array_equal(fabric_tensor(upright), np.diag([0.0, 0.0, 1.0]))
-    diagonals = ([0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [1 / 3, 1 / 3, 1 / 3])
-    assert [anisotropy(np.diag(each)) for each in diagonals] == pytest.approx([1.0, 0.5, 0.0], abs=1e-12)
+    """Parallel contacts: n n, anisotropy 1; walls are excluded. Isotropic in a plane (Thornton): F = diag(1/2, 1/2, 0),
+    D:D = 1/6."""
+    directions = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -0.1], [1.0, 0.0, 0.0]])
+    for wall, diagonal, expected in (
+        ([-1, -1, 0], [0.0, 0.0, 1.0], 1.0),
+        ([0, -1, -1], [0.5, 0.0, 0.5], 0.5),
+    ):
+        contacts = {"position_i": 0.0 * directions, "position_j": directions, "wall": np.array(wall)}
+        np.testing.assert_allclose(fabric_tensor(contacts), np.diag(diagonal), atol=1e-15)
+        assert anisotropy(np.diag(diagonal)) == pytest.approx(expected)
+    assert anisotropy(np.eye(3) / 3.0) == pytest.approx(0.0, abs=1e-12)
 
 
 def lattice_contacts(spacing, count, forces):
@@ -184,14 +180,10 @@ def test_shear_is_no_fluctuation_in_a_sheared_box():
     """Particles that follow the profile of the shear exactly have no kinetic stress."""
     shear = {"lees_edwards": {"flow": "x", "gradient": "z", "rate": 3.0}}
     domain = {"min": [0.0] * 3, "max": [1.0] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"} | shear
-    groups = {"red": particle_group([[0.5, 0.5, 0.1]], 0.01), "blue": particle_group([[0.5, 0.5, 0.7]], 0.01)}
-    metrics = {"box": {"kind": "stress"}}
-    scene = build_scene(groups, domain=domain, output={"interval": 1.0, "metrics": metrics})
     position = random_points(50)
     velocity = np.array([1.0, 2.0, 3.0]) + np.outer(3.0 * position[:, 2], [1.0, 0.0, 0.0])
-    particles = particles_of(50, position=position, velocity=velocity, fixed=np.zeros(50, np.uint8))
-    meter = metric_meters(plan_for(scene))["box"]
-    meter.update(snapshot_of(particles=particles, contacts=contacts_of(0)))
+    snapshot = snapshot_of(particles=spheres_of(position, velocity=velocity), contacts=contacts_of(0))
+    meter = measured(snapshot, domain=domain, gravity=[0.0] * 3, kind="stress")
     assert meter.readings()["pressure"] == pytest.approx(0.0, abs=1e-10)
 
 
@@ -210,21 +202,16 @@ def test_granular_temperature_is_that_of_the_fluctuations_without_their_mean():
     assert np.isnan(granular_temperature(velocity, mass, np.arange(4))).all()
 
 
-def test_center_of_mass_of_sizes():
+@pytest.mark.parametrize(
+    ("limits", "level"),
+    [({}, 1.0), ({"smaller_than": 3e-3}, 0.5), ({"at_least": 2e-3}, 1.5), ({"at_least": 2e-3, "smaller_than": 2.5e-3}, 1.0)],
+)  # fmt: skip
+def test_center_of_mass_of_sizes(limits, level):
     """Diameters 1, 2, 3 mm at heights 0, 1, 2 m with equal masses: below 3 mm 0.5 m, from 2 mm 1.5 m."""
     height = np.outer(np.arange(3.0), [0.0, 0.0, 1.0])
-    radius = np.array([0.5e-3, 1e-3, 1.5e-3])
-    particles = particles_of(3, position=height, radius=radius, mass=np.ones(3), fixed=np.zeros(3))
-    limits = [
-        {},
-        {"smaller_than": "3 mm"},
-        {"at_least": "2 mm"},
-        {"at_least": "2 mm", "smaller_than": "2.5 mm"},
-    ]
-    found = [CenterOfMassMetric(**each).measure(snapshot_of(particles=particles), None) for each in limits]
-    assert [each.numbers["center_of_mass_z"] for each in found] == pytest.approx([1.0, 0.5, 1.5, 1.0])
-    with pytest.raises(SceneError, match="must be above at_least"):
-        CenterOfMassMetric(at_least="2 mm", smaller_than="2 mm")
+    particles = spheres_of(height, radius=np.array([0.5e-3, 1e-3, 1.5e-3]))
+    found = CenterOfMassMetric(**limits).measure(snapshot_of(particles=particles), None)
+    assert found.numbers["center_of_mass_z"] == pytest.approx(level)
 
 
 def test_sliding_share_of_particles_and_of_walls():
@@ -235,12 +222,23 @@ def test_sliding_share_of_particles_and_of_walls():
     assert np.isnan(sliding_share(contacts, [2])["sliding_share"])
 
 
-def scene_with(**metrics):
-    groups = {
-        "red": particle_group([[0.0, 0.0, 0.1]], 0.01),
-        "blue": particle_group([[0.0, 0.0, 0.2]], 0.02, "steel"),
-    }
-    return build_scene(groups, gravity=[0.0, -9.81, 0.0], output={"interval": 1.0, "metrics": metrics})
+GROUPS = {
+    "red": particle_group([[0.5, 0.5, 0.1]], 0.01),
+    "blue": particle_group([[0.5, 0.5, 0.7]], 0.02, "steel"),
+}
+
+
+def scene_with(metrics, **parts):
+    parts = {"gravity": [0.0, -9.81, 0.0]} | parts
+    return build_scene(GROUPS, output={"interval": 1.0, "metrics": metrics}, **parts)
+
+
+def measured(snapshot, domain=None, gravity=(0.0, -9.81, 0.0), walls=None, **keys):
+    """The meter of a metric with the keys, after a snapshot."""
+    parts = {"gravity": list(gravity), "walls": walls} | ({"domain": domain} if domain else {})
+    meter = metric_meters(plan_for(scene_with({"own": keys}, **parts)))["own"]
+    meter.update(snapshot)
+    return meter
 
 
 def test_scene_metrics_are_reported_by_name():
@@ -248,33 +246,30 @@ def test_scene_metrics_are_reported_by_name():
     particles."""
     region = {"min": [0.0] * 3, "max": [1.0] * 3}
     selections = {"groups": ["red"], "materials": ["glass"], "smaller_than": 0.015}
-    scene = scene_with(
-        **{name: {"kind": "lacey", "cell": 0.2, "region": region, name: of} for name, of in selections.items()},
-        stress={"kind": "stress"},
-        heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
-        half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
-        center={"kind": "center_of_mass"}, red={"kind": "center_of_mass", "groups": ["red"]},
-        segregation={"kind": "segregation", "cell": 0.2, "region": region, "groups": ["red"]},
-        sliding={"kind": "sliding"}, tracer={"kind": "probe", "id": 1},
-        heat={"kind": "granular_temperature", "groups": ["red"], "cell": 0.5, "region": region},
-    )  # fmt: skip
+    metrics = {
+        name: {"kind": "lacey", "cell": 0.2, "region": region, name: of} for name, of in selections.items()
+    }
+    metrics |= {
+        "stress": {"kind": "stress"}, "heap": {"kind": "repose", "surface": "plane"}, "contacts": {"kind": "fabric"},
+        "particles": {"kind": "coordination"}, "sliding": {"kind": "sliding"}, "tracer": {"kind": "probe", "id": 1},
+        "half": {"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
+        "center": {"kind": "center_of_mass"}, "red": {"kind": "center_of_mass", "groups": ["red"]},
+        "segregation": {"kind": "segregation", "cell": 0.2, "region": region, "groups": ["red"]},
+        "heat": {"kind": "granular_temperature", "groups": ["red"], "cell": 0.5, "region": region},
+    }  # fmt: skip
+    scene = scene_with(metrics)
     kind = np.arange(5000) % 2
     radius = np.where(kind, 0.01, 0.005)
-    particles = particles_of(
-        5000, position=random_points(5000), group=kind, material=kind, radius=radius,
-        mass=2500.0 * 4.0 / 3.0 * np.pi * radius**3, fixed=np.zeros(5000, np.uint8), coordination_number=np.full(5000, 3),
-        clump=np.full(5000, -1),
-    )  # fmt: skip
+    mass = 2500.0 * 4.0 / 3.0 * np.pi * radius**3
+    particles = spheres_of(random_points(5000), group=kind, material=kind, radius=radius, mass=mass)
     snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
-    for metric, meter in metric_meters(plan_for(scene)).items():
+    meters = metric_meters(plan_for(scene))
+    of_contacts = {"contacts": {"contacts"}, "sliding": {"contacts"}, "stress": {"particles", "contacts"}}
+    for metric, meter in meters.items():
         meter.update(snapshot)
         assert list(meter.readings()) == [each.name for each in scene.output.metrics[metric].quantities]
         assert set(meter.result()) <= set(METRIC_QUANTITIES)
-        of_contacts = {"contacts": {"contacts"}, "sliding": {"contacts"}, "stress": {"particles", "contacts"}}
         assert meter.wants == of_contacts.get(metric, {"particles"})
-    meters = metric_meters(plan_for(scene))
-    for meter in meters.values():
-        meter.update(snapshot)
     values = [meters[name].readings()["lacey_index"] for name in selections]
     assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
     assert meters["particles"].readings()["coordination_number"] == 3.0
@@ -292,16 +287,11 @@ def test_scene_metrics_are_reported_by_name():
 def test_upward_direction_is_opposite_to_gravity():
     """A wedge that rises in x, with gravity along -y instead of -z."""
     points, radius = bed(np.radians(24.0), "wedge")
-    selected = points[:, 0] < 0.3
-    turned = points[selected][:, [0, 2, 1]] * [1.0, 1.0, -1.0]
-    scene = scene_with(heap={"kind": "repose", "surface": "plane"})
-    count = int(selected.sum())
-    particles = particles_of(
-        count, position=turned, radius=radius[selected], fixed=np.zeros(count),
-        coordination_number=np.full(count, 4)
-    )  # fmt: skip
-    meter = metric_meters(plan_for(scene))["heap"]
-    meter.update(snapshot_of(particles=particles))
+    here = points[:, 0] < 0.3
+    turned = points[here][:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+    meter = measured(
+        snapshot_of(particles=spheres_of(turned, radius=radius[here])), kind="repose", surface="plane"
+    )
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
 
 
@@ -319,13 +309,11 @@ def test_mean_covers_the_last_stage_and_skips_nan():
 
 def test_probe_follows_one_particle_by_its_id():
     """Its row in the snapshot changes; a particle that does not exist has no motion."""
-    meter = metric_meters(plan_for(scene_with(tracer={"kind": "probe", "id": 1})))["tracer"]
     place = np.arange(30.0).reshape(10, 3)
-    moving = {"position": place, "velocity": 2.0 * place, "angular_velocity": 3.0 * place}
-    for ids in (np.arange(10)[::-1], np.arange(10) + 5):
-        meter.update(snapshot_of(particles=particles_of(10, id=ids, **moving)))
-        expected = np.outer([1.0, 2.0, 3.0], place[8] if 1 in ids else 3 * [np.nan]).ravel()
-        np.testing.assert_allclose(list(meter.readings().values()), expected)
+    for ids, own in ((np.arange(10)[::-1], place[8]), (np.arange(10) + 5, 3 * [np.nan])):
+        particles = spheres_of(place, velocity=2.0 * place, angular_velocity=3.0 * place, id=ids)
+        found = measured(snapshot_of(particles=particles), kind="probe", id=1).readings()
+        np.testing.assert_allclose(list(found.values()), np.outer([1.0, 2.0, 3.0], own).ravel())
 
 
 def test_height_of_a_level_bed_and_of_its_volume():
@@ -338,13 +326,10 @@ def test_height_of_a_level_bed_and_of_its_volume():
     radius = 0.01
     x, y, layer = np.meshgrid(np.arange(4), np.arange(2), np.arange(5), indexing="ij")
     center = radius * np.column_stack([2 * x.ravel(), 2 * layer.ravel() + 1, 2 * y.ravel()])
-    particles = particles_of(
-        41, clump=np.full(41, -1), wall_contact_count=np.zeros(41), position=np.vstack([center, [0.0, 1.0, 0.0]]),
-        radius=np.full(41, radius), fixed=np.zeros(41), mass=np.ones(41), material=np.zeros(41, int),
-        coordination_number=np.append(np.full(40, 3), 0),
-    )  # fmt: skip
-    meter = metric_meters(plan_for(scene_with(level={"kind": "height", "base": -0.5, "share": 0.9})))["level"]
-    meter.update(snapshot_of(particles=particles))
+    place = np.vstack([center, [0.0, 1.0, 0.0]])
+    contacts = np.append(np.full(40, 3), 0)
+    particles = spheres_of(place, radius=np.full(41, radius), coordination_number=contacts)
+    meter = measured(snapshot_of(particles=particles), kind="height", base=-0.5, share=0.9)
     found = meter.readings()
     assert found["bed_height"] == found["heap_height"] == pytest.approx(0.5 + 10 * radius)
     h = (found["height_of_volume"] - 0.5) / radius - 8.0
@@ -367,21 +352,15 @@ def test_coordination_counts_the_contacts_of_a_clump_as_those_of_one_particle():
     Ids 0, 1: a rod, centers at 0.1 and 0.3. Id 2: a sphere at 0.6 with one contact. Ids 3, 4: a rod with two
     contacts with particles and one with a wall, at 1.1 and 1.3.
     """
-    particles = particles_of(
-        5, id=np.arange(5), position=np.array([[x, 0.0, 0.0] for x in (0.1, 0.3, 0.6, 1.1, 1.3)]),
-        clump=np.array([0, 0, -1, 3, 3]), coordination_number=np.array([1, 1, 1, 0, 2]),
-        wall_contact_count=np.array([0, 0, 0, 1, 0]), fixed=np.zeros(5, np.uint8),
+    particles = spheres_of(
+        np.outer([0.1, 0.3, 0.6, 1.1, 1.3], [1.0, 0.0, 0.0]), clump=np.array([0, 0, -1, 3, 3]),
+        coordination_number=np.array([1, 1, 1, 0, 2]), wall_contact_count=np.array([0, 0, 0, 1, 0]),
     )  # fmt: skip
     whole = CoordinationMetric().measure(snapshot_of(particles=particles), None)
-    names = [
-        "coordination_number",
-        "mechanical_coordination_number",
-        "wall_coordination_number",
-        "rattler_share",
-    ]
-    assert whole.numbers == pytest.approx(
-        dict(zip(names, [5.0 / 3.0, 2.0, 1.0 / 3.0, 1.0 / 3.0], strict=True))
-    )
+    assert whole.numbers == pytest.approx({
+        "coordination_number": 5.0 / 3.0, "mechanical_coordination_number": 2.0,
+        "wall_coordination_number": 1.0 / 3.0, "rattler_share": 1.0 / 3.0,
+    })  # fmt: skip
     region = Box(min=[0.0, -1.0, -1.0], max=[1.15, 1.0, 1.0])  # cuts the second rod, whose center is at 1.2
     left = CoordinationMetric(region=region).measure(snapshot_of(particles=particles), None)
     assert (left.numbers["coordination_number"], left.numbers["rattler_share"]) == (1.5, 0.5)
@@ -402,13 +381,8 @@ def test_height_of_a_rough_bed_is_that_of_columns_of_two_diameters():
     )
     top = 0.02 + np.random.default_rng(3).uniform(-radius, radius, (21, 21))
     points = np.column_stack([(2 * x + 1) * radius, top[x, y] - (2 * k + 1) * radius, (2 * y + 1) * radius])
-    meter = metric_meters(plan_for(scene_with(level={"kind": "height", "base": 0.0})))["level"]
-    count = len(points)
-    particles = particles_of(
-        count, position=points, radius=np.full(count, radius), fixed=np.zeros(count), mass=np.ones(count),
-        material=np.zeros(count, int), coordination_number=np.full(count, 3, np.int32)
-    )  # fmt: skip
-    meter.update(snapshot_of(particles=particles))
+    particles = spheres_of(points, radius=np.full(len(points), radius))
+    meter = measured(snapshot_of(particles=particles), kind="height", base=0.0)
     column = np.minimum(np.arange(21) // 2, 9)  # 40 mm between the outer centers: ten columns
     highest = np.full((10, 10), -np.inf)
     np.maximum.at(highest, (column[:, None], column[None, :]), top)
@@ -435,15 +409,10 @@ def test_width_of_columns_is_two_sauter_diameters():
 )
 def test_mixtures_without_meaning_give_the_reason(kind, second, scale, shift, smaller_than, remark):
     radius = np.where(np.arange(400) < 200, 0.01, second)
+    particles = spheres_of(scale * random_points(400) + shift, radius=radius, mass=radius**3)
     region = {"min": [0.0] * 3, "max": [1.0] * 3}
-    scene = scene_with(mix={"kind": kind, "cell": 0.5, "region": region, "smaller_than": smaller_than})
-    meter = metric_meters(plan_for(scene))["mix"]
-    none = np.zeros(400, int)
-    particles = particles_of(
-        400, position=scale * random_points(400) + shift, radius=radius, fixed=none, mass=radius**3, material=none,
-        group=none,
-    )  # fmt: skip
-    meter.update(snapshot_of(particles=particles))
+    snapshot = snapshot_of(particles=particles)
+    meter = measured(snapshot, kind=kind, cell=0.5, region=region, smaller_than=smaller_than)
     assert remark in meter.remark
     assert np.isnan(next(iter(meter.readings().values()))) == (second != 0.0105)
 
@@ -454,11 +423,7 @@ def rods(axes, spheres=3, spacing=0.01):
     middle = np.random.default_rng(2).uniform(0.0, 1.0, (count, 3))
     along = spacing * (np.arange(spheres) - 0.5 * (spheres - 1))
     position = (middle[:, None, :] + along[None, :, None] * axes[:, None, :]).reshape(-1, 3)
-    total = count * spheres
-    return particles_of(
-        total, id=np.arange(total), position=position, mass=np.ones(total), fixed=np.zeros(total, np.uint8),
-        clump=np.repeat(spheres * np.arange(count), spheres), group=np.zeros(total, int),
-    )  # fmt: skip
+    return spheres_of(position, clump=np.repeat(spheres * np.arange(count), spheres))
 
 
 def test_orientation_of_parallel_and_of_random_rods():
@@ -499,29 +464,19 @@ def test_orientation_across_a_periodic_boundary_and_of_bodies_without_an_axis():
     assert np.isnan(flat.numbers["order_parameter"]) and "no clumps with a longest axis" in flat.remark
 
 
-def sample(walls, **keys):
-    """The numbers and the remark of a metric solid_fraction between `walls` {name: (point, normal, offset)},
-    of spheres of radius 5 mm at x = 0, 10, ..., 90 mm."""
-    radius = np.full(10, 5e-3)
-    position = np.column_stack([0.01 * np.arange(10), np.zeros((10, 2))])
-    particles = particles_of(
-        10, position=position, radius=radius, mass=2500.0 * 4.0 / 3.0 * np.pi * radius**3,
-        material=np.zeros(10, int), fixed=np.zeros(10, np.uint8),
-    )  # fmt: skip
+def sample(walls, domain=None, **keys):
+    """The meter of a metric solid_fraction between `walls` {name: (point, normal, offset)}, of spheres of radius 5 mm
+    at x = 0, 10, ..., 90 mm."""
+    position = np.outer(0.01 * np.arange(10), [1.0, 0.0, 0.0])
+    particles = spheres_of(position, radius=np.full(10, 5e-3), mass=np.full(10, 2500.0 * SPHERE))
     poses = {
         name: WallPose(offset is not None, np.array(offset or [0.0] * 3), np.eye(3), np.zeros(3))
         for name, (_, _, offset) in walls.items()
     }
-    domain = keys.pop("domain", {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"})
-    scene = build_scene(
-        {"beads": particle_group(position)},
-        {name: plane(point, normal) for name, (point, normal, _) in walls.items()},
-        output={"interval": 1.0, "metrics": {"sample": {"kind": "solid_fraction", **keys}}},
-        domain=domain,
+    planes = {name: plane(point, normal) for name, (point, normal, _) in walls.items()}
+    return measured(
+        snapshot_of(particles=particles, walls=poses), domain, walls=planes, kind="solid_fraction", **keys
     )
-    (meter,) = metric_meters(plan_for(scene)).values()
-    meter.update(snapshot_of(particles=particles, walls=poses))
-    return meter.readings(), meter.remark
 
 
 ENDS = {
@@ -534,25 +489,28 @@ SPHERE = 4.0 / 3.0 * np.pi * 0.005**3
 def test_solid_fraction_between_walls_follows_their_displacement():
     """The right wall has moved from x = 95 to 65 mm: seven spheres (centers up to 60 mm) in 70 mm of a cylinder
     of radius 20 mm; with a box of 0.1 m x 0.2 m around them, the same volume of particles in another one."""
-    found, remark = sample(ENDS, between=["left", "right"], radius=0.02)
-    assert found["enclosed_volume"] == pytest.approx(np.pi * 0.02**2 * 0.07) and not remark
-    assert found["solid_fraction"] == pytest.approx(7 * SPHERE / (np.pi * 0.02**2 * 0.07))
-    assert found["void_ratio"] == pytest.approx(1.0 / found["solid_fraction"] - 1.0)
+    meter = sample(ENDS, between=["left", "right"], radius=0.02)
+    volume = np.pi * 0.02**2 * 0.07
+    expected = {
+        "enclosed_volume": volume,
+        "solid_fraction": 7 * SPHERE / volume,
+        "void_ratio": volume / 7 / SPHERE - 1,
+    }
+    assert {name: meter.readings()[name] for name in expected} == pytest.approx(expected) and not meter.remark
     box = {
         "front": ([0, -0.05, 0], [0, 1, 0], [0.0] * 3), "back": ([0, 0.05, 0], [0, -1, 0], [0.0] * 3),
         "floor": ([0, 0, -0.1], [0, 0, 1], [0.0] * 3), "lid": ([0, 0, 0.1], [0, 0, -1], [0.0] * 3),
     }  # fmt: skip
-    found, _ = sample(ENDS | box, between=["left", "right", "front", "back", "floor", "lid"])
+    found = sample(ENDS | box, between=["left", "right", "front", "back", "floor", "lid"]).readings()
     assert found["solid_fraction"] == pytest.approx(7 * SPHERE / (0.1 * 0.2 * 0.07))
     periodic = {"min": [-1.0, -0.1, -0.3], "max": [1.0, 0.1, 0.3], "periodic": ["y", "z"], "on_exit": "error"}
-    found, _ = sample(ENDS, between=["right", "left"], domain=periodic)
+    found = sample(ENDS, periodic, between=["right", "left"]).readings()
     assert found["solid_fraction"] == pytest.approx(7 * SPHERE / (0.2 * 0.6 * 0.07))
 
 
 def test_solid_fraction_of_walls_that_enclose_no_volume():
-    absent = ENDS | {"right": (*ENDS["right"][:2], None)}
-    found, remark = sample(absent, between=["left", "right"], radius=0.02)
-    assert np.isnan(list(found.values())).all() and remark == "right is absent"
+    meter = sample(ENDS | {"right": (*ENDS["right"][:2], None)}, between=["left", "right"], radius=0.02)
+    assert np.isnan(list(meter.readings().values())).all() and meter.remark == "right is absent"
     with pytest.raises(SceneError, match="leaves the volume open along y and z"):
         sample(ENDS, between=["left", "right"])
     with pytest.raises(SceneError, match="has left and floor as a pair, which are not opposite"):

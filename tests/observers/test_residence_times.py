@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from observers.snapshots import snapshot_of
+from observers.snapshots import snapshot_of, spheres_of
 
 from granflow.observers.meters import FlowCounter
 from granflow.observers.passages import ResidenceTimes
@@ -23,12 +23,12 @@ def measured(given, paths, begins_at="top", stages=None):
     residence = ResidenceTimes(ResidenceTime(**given), NAMES, begins_at, None)
     for k in range(len(next(iter(paths.values())))):
         ids = np.array([number for number, path in paths.items() if path[k] is not None])
-        arrays = {
-            "id": ids, "position": np.array([[paths[i][k], 0.0, 0.0] for i in ids.tolist()]).reshape(-1, 3),
-            "velocity": np.zeros((len(ids), 3)), "radius": np.full(len(ids), 0.1), "mass": 1.0 + 2.0 * (ids % 2),
-            "group": ids % 2, "material": np.zeros(len(ids), int), "insertion_time": ids / 10.0,
-        }  # fmt: skip
-        snapshot = snapshot_of(float(k), particles=arrays, stage=stages[k] if stages else "run")
+        position = np.outer([paths[i][k] for i in ids.tolist()], [1.0, 0.0, 0.0])
+        particles = spheres_of(
+            position, id=ids, velocity=0.0 * position, radius=0.1 + 0.0 * ids, mass=1.0 + 2.0 * (ids % 2),
+            group=ids % 2, insertion_time=ids / 10.0,
+        )  # fmt: skip
+        snapshot = snapshot_of(float(k), particles=particles, stage=stages[k] if stages else "run")
         for meter in meters.values():
             meter.update(snapshot)
         residence.record(snapshot, meters)
