@@ -126,16 +126,6 @@ def test_with_values_is_the_scene_with_overrides():
     assert (copy.seed, copy.title) == (7, "b")
 
 
-def test_counts_follow_new_values():
-    """The number of particles of a mass is that of the new mass: 4 mm spheres of 2500 kg/m3."""
-    ball = np.pi / 6.0 * 0.004**3 * 2500.0
-    insert = {"kind": "pack", "region": {"box": {"min": [-0.1] * 3, "max": [0.1] * 3}}}
-    group = {"material": "glass", "mass": 100.2 * ball, "diameter": 0.004, "insert": insert}
-    scene = gf.Scene(**blocks(particles={"balls": group}))
-    assert scene.with_values({"particles.balls.mass": 50.2 * ball}).particles["balls"].count in (50, 51)
-    assert scene.particles["balls"].count in (100, 101)
-
-
 def test_with_values_refuses_what_the_scene_refuses():
     scene = gf.Scene(**blocks())
     found = " ".join(

@@ -21,6 +21,11 @@ def seen(snapshot):
     """Does nothing."""
 
 
+def generator(snapshot):
+    """Would never run: a call only creates the generator."""
+    yield snapshot
+
+
 @pytest.fixture(scope="module")
 def simulation(taichi_f64):
     """A simulation with a force and an observer after three steps."""
@@ -44,40 +49,23 @@ WRONG = {
     "overrides is 'run.duration=1', but": lambda _: gf.load_scene("a.yaml", "run.duration=1"),
     "precision is 'f16'; give one of f64, f32, mixed.": lambda _: gf.Simulation(beads(), precision="f16"),
     "arch is 'tpu'; give one of cpu, cuda, vulkan, gpu.": lambda _: gf.start("tpu"),
-    "scene is a str; make a scene of it with granflow.load_scene": lambda _: gf.plan_for("a.yaml"),
-    "but must be a plan of granflow.plan_for": lambda _: gf.explain(beads()),
-    "source is 5, but must be the path of a file": lambda _: gf.sweep(5),
     "history contains (0.0, 1.0), but must have rows of": lambda _: gf.steady_flow([(0.0, 1.0)]),
-    "snapshots is 5, but must be a list": lambda _: gf.analyze_snapshots(beads(), 5, "out"),
     "model is 5, but must be a ContactModel": lambda _: gf.register_contact_model(5),
-    "threads is 'two'; give a whole number of at least 1": lambda _: gf.start("cpu", "f64", "two"),
     "ParticleData: velocity has the shape (3, 2), but must have (2, 3)": lambda _: gf.ParticleData(*DATA),
     "force drag: parameters is 5, but must be a mapping": lambda _: gf.ParticleForce(drag, 5),
-    "parameter rate is complex numbers, but": lambda _: gf.ParticleForce(drag, {"rate": 1j}),
     "interval is True, but must be a number [s] or text": lambda _: gf.on_interval(True, seen),
-    "wants contains 'contact', but has parts of": lambda _: gf.on_interval(1, seen, wants=["contact"]),
+    "is a generator or a coroutine, whose code a call does not": lambda _: gf.on_interval(1, generator),
     "function is 3, but must be a function of a snapshot": lambda _: gf.on_interval(1, 3),
     "must be a list of": lambda _: gf.Simulation(beads(), observers=gf.on_interval(1, seen)),
-    "must be arrays of granflow.Part": lambda _: gf.Simulation(beads(), particles=VECTORS),
     "resume is 5, but must be a directory": lambda _: gf.Simulation(beads(), resume=5),
     "scene is a dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation({"a": 1}),
-    "print is not an observer: give granflow.on_interval": lambda s: s.observers.append(print),
     "count is nan, but must be a whole number": lambda s: s.step(float("nan")),
-    "until is nan s, but must be finite": lambda s: s.run(until=float("nan")),
     "until is -1 s, but the simulation is at": lambda s: s.run(until=-1.0),
     "save needs an output directory": lambda s: s.save(),
     "run takes until or duration, not both": lambda s: s.run(until=1.0, duration=1.0),
-    "duration is 1 kg, but kg is a unit of mass": lambda s: s.run(duration="1 kg"),
     "request_stop takes an exception": lambda s: s.request_stop("now"),
-    "forces[7] does not exist: forces has 1 entries": lambda s: s.forces[7],
-    "5 is not a force of this simulation": lambda s: s.forces.remove(5),
-    "is an observer of this simulation already": lambda s: s.observers.append(s.observers[0]),
-    "particles.remove: arrays used as indices must be": lambda s: s.particles.remove("a"),
-    "is complex numbers, but must be": velocity(1j * VECTORS),
     "is '3 m/s', but must be real numbers": velocity("3 m/s"),
-    "has masked entries": velocity(np.ma.array(VECTORS, mask=VECTORS == 0)),
     "contains 1e+200; a value of this": velocity(VECTORS + 1e200),
-    "contains 1e+199; a value of this magni": lambda s: s.forces[0].parameters.update(rate=1e199),
     "drag has no parameter viscosity; its parameters are rate": lambda s: s.forces[0].parameters.update(
         viscosity=1
     ),
@@ -99,13 +87,10 @@ def test_a_wrong_argument_is_refused_with_one_sentence_and_changes_nothing(simul
 
 
 ASSIGNMENTS = (
-    "simulation.forces = []", "simulation.walls = {}", "simulation.gravity = 3.0", "simulation.forces[0] = None",
-    "simulation.walls['floor'] = None", "del simulation.walls['floor']", "simulation.walls.floor = None",
+    "simulation.forces = []", "simulation.gravity = 3.0", "simulation.forces[0] = None", "simulation.walls['floor'] = None",
     "simulation.walls['floor'].velocity = [0, 0, 1]", "simulation.particles.speed = 1", "simulation.particles.mass = 1",
-    "simulation.particles.velocity.shape = (6,)", "for row in simulation.particles.velocity: row *= 0.5",
-    "simulation.observers[0].interval = 1e-5", "simulation.observers[0].wants = {'contact'}",
-    "simulation.forces[0].name = 'other'", "scene.title = 'other'", "scene.materials['glass'].density = 3",
-    "simulation.snapshot().time = 3", "simulation.plan.skin = 1.0", "simulation.run(duration=0).run = {}",
+    "for row in simulation.particles.velocity: row *= 0.5", "simulation.observers[0].interval = 1e-5",
+    "simulation.forces[0].name = 'other'", "scene.materials['glass'].density = 3", "simulation.plan.skin = 1.0",
 )  # fmt: skip
 
 
@@ -114,20 +99,6 @@ def test_an_assignment_without_effect_is_refused(simulation, statement):
     with pytest.raises((AttributeError, gf.GranflowError, TypeError, ValueError)) as error:
         exec(statement, {"simulation": simulation, "scene": beads()})
     assert str(error.value) and "\n" not in str(error.value)
-
-
-def generator(snapshot):
-    """Would never run: a call only creates the generator."""
-    yield snapshot
-
-
-def test_a_function_that_would_not_be_executed_is_no_observer(taichi_f64):
-    with pytest.raises(gf.GranflowError, match="is a generator or a coroutine, whose code a call does not"):
-        gf.on_interval(1e-3, generator)
-    observer = gf.on_interval(1e-3, lambda snapshot: generator(snapshot))
-    with gf.Simulation(beads(), observers=[observer]) as simulation:
-        with pytest.raises(gf.FunctionError, match=r"failed at 0 s: .*it returns a generator or a coroutine"):
-            simulation.run()
 
 
 def test_an_observer_belongs_to_one_simulation_at_a_time(taichi_f64):

@@ -6,29 +6,23 @@ from pathlib import Path
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "docs" / "notebooks").glob("*.ipynb"))
-notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-@notebook
-def test_notebook_is_stored_without_results(path):
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    results = [
-        cell for cell in cells if cell["cell_type"] == "code" and (cell["outputs"] or cell["execution_count"])
-    ]
-    assert not results and cells[0]["cell_type"] == "markdown"
+def test_notebooks_are_stored_without_results():
+    for path in NOTEBOOKS:
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        code = [cell for cell in cells if cell["cell_type"] == "code"]
+        assert not any(cell["outputs"] or cell["execution_count"] for cell in code), path
 
 
 @pytest.mark.slow
-@notebook
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, tmp_path):
-    """The assertions of the notebook compare its results with theory; a failed one ends the execution with an
-    error."""
+    """The assertions of the notebook compare its results with theory."""
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")
     found = nbformat.read(path, as_version=4)
-    nbformat.validate(found)
-    source = "\n".join(cell.source for cell in found.cells)
-    assert "\nassert " in source or "\n    assert " in source
+    assert "assert " in "\n".join(cell.source for cell in found.cells)
     nbclient.NotebookClient(found, timeout=900, resources={"metadata": {"path": str(tmp_path)}}).execute()
     shown = [output for cell in found.cells for output in cell.get("outputs", ())]
     assert any("image/png" in output.get("data", {}) for output in shown)

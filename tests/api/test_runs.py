@@ -140,20 +140,6 @@ def test_particles_from_arrays_replace_those_of_the_scene(taichi_f64):
         gf.Simulation(falling(), particles=replace(given, radius=2.0 * given.radius))
 
 
-def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(taichi_f64):
-    with gf.Simulation(falling()) as simulation:
-        snapshot = simulation.snapshot()
-    for contents, name, message in (
-        (snapshot.totals, "energy", "snapshot.totals has no energy; the names are particle_count, "),
-        (snapshot.walls, "lid", "snapshot.walls has no lid; the names are floor, side."),
-        (snapshot.impulses, "floor", "snapshot.impulses has no floor; it is empty."),
-    ):
-        with pytest.raises(KeyError) as error:
-            contents[name]
-        assert str(error.value).startswith(message)
-        assert contents.get(name) is None and name not in contents
-
-
 def test_rain_avoids_a_wall_where_it_is_at_the_time(taichi_f64):
     """A plate moves down from z = 8 mm with 1 m/s and is at 3 mm when particles of radius 1 mm appear within
     40 us; their centers are at least 0.9 mm from it, and 0.04 mm less than that after it has moved on."""

@@ -54,9 +54,13 @@ def once(function, time):
 def test_an_ended_run_has_a_checkpoint_and_continues_with_the_same_bits(
     tmp_path, taichi_f64, default_interrupt, end, exception
 ):
-    with pytest.raises(exception):
-        with gf.Simulation(scene(), out=tmp_path, observers=[once(end, 0.002)]) as simulation:
+    with gf.Simulation(scene(), out=tmp_path, observers=[once(end, 0.002)]) as simulation:
+        with pytest.raises(exception):
             simulation.run()
+        with pytest.raises(
+            gf.GranflowError, match=rf"{exception.__name__} has ended the run in .*, at 0.002"
+        ):
+            simulation.save()
     assert 0.002 <= checkpoint_at(tmp_path).time < 0.0022
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     found = []
@@ -66,21 +70,6 @@ def test_an_ended_run_has_a_checkpoint_and_continues_with_the_same_bits(
             found.append(simulation.snapshot().particles)
     for name in ("position", "velocity", "angular_velocity"):
         np.testing.assert_array_equal(found[0][name], found[1][name])
-
-
-def test_after_ctrl_c_a_run_without_files_continues_and_one_with_files_names_the_reason(
-    taichi_f64, tmp_path, default_interrupt
-):
-    with gf.Simulation(scene(), observers=[once(interrupt, 0.001)]) as simulation:
-        with pytest.raises(KeyboardInterrupt):
-            simulation.run()
-        simulation.run()
-        assert simulation.time == pytest.approx(0.004, abs=simulation.time_step)
-    with gf.Simulation(scene(), out=tmp_path / "run", observers=[once(interrupt, 0.001)]) as simulation:
-        with pytest.raises(KeyboardInterrupt):
-            simulation.run()
-        with pytest.raises(gf.GranflowError, match=r"KeyboardInterrupt has ended the run in .*, at 0.001"):
-            simulation.save()
 
 
 def test_missing_checkpoints_and_other_settings_are_refused(tmp_path, taichi_f64):

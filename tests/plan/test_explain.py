@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-import pytest
-from geometry.meshes import sheet, write
 from plan.scenes import scene_of
 from subprocess_runner import each_in_subprocess
 
 from granflow.plan.build import plan_for
-from granflow.plan.cost import estimate_memory, typical_rate
+from granflow.plan.cost import estimate_memory
 from granflow.plan.explain import duration, explain, size
 
 
@@ -73,23 +71,3 @@ def test_memory_estimate_equals_the_allocated_memory(tmp_path):
 def test_duration_is_rounded_to_a_readable_unit():
     found = [duration(seconds) for seconds in (0.2, 59, 600, 7.3e3, 1e6)]
     assert found == ["1 s", "59 s", "10 minutes", "2 hours", "12 days"]
-
-
-JKR = (
-    "contact.cohesion=jkr",
-    "pairs.glass-glass.work_of_adhesion=0.1",
-    "pairs.glass-steel.work_of_adhesion=0",
-)
-
-
-@pytest.mark.parametrize(("changes", "factor", "causes"), [
-    ((), 1.0, ()), (JKR, 4.5, ("cohesion jkr",)),
-    (("walls.floor={shape: mesh, file: floor.stl, material: glass}",), 1.0 + 0.3 * 4.0 / 2.0, ("triangles of meshes",)),
-])  # fmt: skip
-def test_typical_rate_depends_on_the_features_that_cost_most(tmp_path, changes, factor, causes):
-    """The floor has legs of 2 mm, half of the diameter of the particles."""
-    write(tmp_path / "floor.stl", *sheet(20, size=0.04))
-    assert typical_rate(plan_for(scene_of(tmp_path, *changes))) == (
-        pytest.approx(5e6 / factor, rel=1e-3),
-        causes,
-    )
