@@ -269,10 +269,6 @@ class Deck:
         found = [each for style in styles for each in self._by_style[1].get(style, ())]
         return [fix for _, fix in sorted(found, key=lambda each: each[0])]
 
-    def ever_fix(self, name: str) -> Fix | None:
-        """The newest fix of a name, also an ended one."""
-        return next((each for each in reversed(self.all_fixes) if each.name == name), None)
-
     def acting(self, fix: Fix) -> list[Run]:
         """The runs in which a fix acts; they are in the order of time."""
         first = bisect_left(self.runs, fix.start, key=lambda run: run.start + run.slack)

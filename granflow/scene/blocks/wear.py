@@ -1,5 +1,4 @@
-"""Key `wear` of walls: a law of wear is one class below, with its keys, and its power on the device and in
-numpy.
+"""Key `wear` of walls: a law of wear is one class below, with its keys and its power on the device.
 
 The worn volume is
 
@@ -11,8 +10,7 @@ change the surface of the wall.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from math import sqrt
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Tag
 
@@ -37,23 +35,6 @@ _COEFFICIENT: Any = Field(
 _HARDNESS: Any = Field(description="hardness H of the surface of the wall [Pa]", examples=["2 GPa"])
 
 
-class Load(NamedTuple):
-    """What a law reads of one contact; on the device a struct with the same names.
-
-    force:          magnitude of the contact force [N]
-    normal_force:   component that presses the particle on the wall [N], 0 if the contact pulls
-    slip_speed:     speed [m/s] at which the surface of the particle slides over the wall
-    approach:       component of the velocity of the particle's center toward the wall [m/s]
-    passing_speed:  magnitude of the other component [m/s], along the wall
-    """
-
-    force: float
-    normal_force: float
-    slip_speed: float
-    approach: float
-    passing_speed: float
-
-
 class WallWear(Model):
     """A law of wear. Base class of the kinds."""
 
@@ -73,12 +54,14 @@ class WallWear(Model):
 
     @staticmethod
     def build_power() -> Callable[..., Any]:
-        """Device function (load): the power P [W]; `load` as `Load`, in f64."""
-        raise NotImplementedError
+        """Device function (load): the power P [W]. `load` is a struct of one contact, in f64:
 
-    @staticmethod
-    def reference_power(load: Load) -> float:
-        """Reference implementation of the power [W], from the publication."""
+        force:          magnitude of the contact force [N]
+        normal_force:   component that presses the particle on the wall [N], 0 if the contact pulls
+        slip_speed:     speed [m/s] at which the surface of the particle slides over the wall
+        approach:       component of the velocity of the particle's center toward the wall [m/s]
+        passing_speed:  magnitude of the other component [m/s], along the wall
+        """
         raise NotImplementedError
 
 
@@ -120,11 +103,6 @@ class ArchardWear(VolumeWear):
 
         return archard
 
-    @staticmethod
-    def reference_power(load: Load) -> float:
-        """Archard 1953, J. Appl. Phys. 24, 981: dV = k F_n ds / H."""
-        return load.normal_force * load.slip_speed
-
 
 class FinnieWear(VolumeWear):
     """Erosion by impacts at an angle (Finnie 1960), as `wear finnie` of LIGGGHTS, with k_finnie = k / H.
@@ -157,17 +135,6 @@ class FinnieWear(VolumeWear):
 
         return finnie
 
-    @staticmethod
-    def reference_power(load: Load) -> float:
-        """Finnie 1960, Wear 3, 87, Eqs. 8 and 9 with K = 2; the force in place of the momentum as in
-        LIGGGHTS."""
-        speed = sqrt(load.approach**2 + load.passing_speed**2)
-        if load.approach < 0.0 or speed == 0.0:
-            return 0.0
-        sine, cosine = load.approach / speed, load.passing_speed / speed
-        share = 2.0 * sine * cosine - 3.0 * sine**2 if 3.0 * sine <= cosine else cosine**2 / 3.0
-        return 2.0 * load.force * speed * share
-
 
 class RelativeWear(WallWear):
     """No volume: only the normal and the tangential work of the contacts, for comparison between places.
@@ -189,11 +156,6 @@ class RelativeWear(WallWear):
             return 0.0 * load.force
 
         return nothing
-
-    @staticmethod
-    def reference_power(load: Load) -> float:
-        """0."""
-        return 0.0
 
 
 WearSpec = Annotated[ArchardWear | FinnieWear | RelativeWear, choose_by_key("law")]
