@@ -3,11 +3,13 @@
 import json
 import re
 import shutil
+import signal
 
 import meshio
 import pytest
 from plan.scenes import TEXT, line_of
 
+from granflow import Simulation
 from granflow.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("taichi_f64")
@@ -99,6 +101,25 @@ def test_unsatisfied_expectations_and_all_warnings_are_reported(tmp_path, run):
     stored = json.loads((tmp_path / "warned" / "result.json").read_text(encoding="utf-8"))["warnings"]
     assert set(stored) == set(warnings) and len(warnings) == len(set(warnings))
     assert all(f"WARNING granflow: {line}" in log for line in warnings)
+
+
+def test_ctrl_c_ends_the_run_with_a_checkpoint(tmp_path, run, monkeypatch):
+    def interrupted(simulation, *arguments, **options):
+        signal.raise_signal(signal.SIGINT)
+        return complete(simulation, *arguments, **options)
+
+    complete = Simulation.run
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # not as in a background process
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(Simulation, "run", interrupted)
+            code, _, errors = run("stopped")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert code == 130
+    assert "granflow: stopped at 0 s; granflow resume stopped continues." in errors
+    assert main(["resume", "stopped", "--threads", "2"]) == 0
+    assert len(frames(tmp_path / "stopped")) == 6
 
 
 def test_aborted_run_writes_its_last_state(tmp_path, run):

@@ -15,17 +15,15 @@ import signal
 import sys
 import time
 
-from granflow.io import frames
-from granflow.io import tables as row_file
+from granflow.io import frames, tables
 
-write_numbers = itertools.count(1)
 write_count = 0
 
 
 def counted(function, fatal_write):
     def write(*arguments, **options):
         global write_count
-        write_count = next(write_numbers)
+        write_count += 1
         if write_count == fatal_write:
             os.kill(os.getpid(), signal.SIGKILL)
         return function(*arguments, **options)
@@ -38,19 +36,13 @@ def count_writes(fatal_write):
         setattr(os, name, counted(getattr(os, name), fatal_write))
     pathlib.Path.unlink = counted(pathlib.Path.unlink, fatal_write)
 
-    class PartialWrites(row_file.FileIO):
+    class PartialWrites(tables.FileIO):
         """Writes half of the data, as after a signal or on a full disk; the caller must write the rest."""
 
         def write(self, data):
             return counted(super().write, fatal_write)(data[: max(len(data) // 2, 1)])
 
-    row_file.FileIO = frames.FileIO = PartialWrites
-
-
-def inject_clock_jumps():
-    jumps = itertools.cycle([3600.0, -7200.0, 86400.0, -1.7e9])
-    system_time = time.time
-    time.time = lambda: system_time() + next(jumps)
+    tables.FileIO = frames.FileIO = PartialWrites
 
 
 if __name__ == "__main__":
@@ -58,7 +50,9 @@ if __name__ == "__main__":
 
     fault, number, *arguments = sys.argv[1:]
     if fault == "clock":
-        inject_clock_jumps()
+        jumps = itertools.cycle([3600.0, -7200.0, 86400.0, -1.7e9])
+        system_time = time.time
+        time.time = lambda: system_time() + next(jumps)
     else:
         count_writes(int(number) if fault == "kill" else 0)
     code = main(arguments)

@@ -14,7 +14,7 @@ from granflow.simulation import Simulation
 MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
 
 
-def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, counts_collisions=True, **parts):
+def complex_scene(duration=0.02, of_groups=None, **parts):
     """Rain into a vibrated box above a falling lattice; two materials, three stages, chunks of 32 particles.
 
     Friction, rolling springs, the energy budget, collision energies, a flow meter, fields and metrics are
@@ -22,8 +22,7 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
     inserts particles through a face. The floor and one side wall are removed after the second stage;
     particles are deleted at `domain.max` before they reach that wall.
 
-    of_groups:          further keys of all groups
-    counts_collisions:  whether collisions are counted by energy, for which contacts need a history
+    of_groups:  further keys of all groups
     """
     walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
     walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
@@ -54,18 +53,13 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
         },
     }  # fmt: skip
     stage_duration = duration / 3.0
-    middle = (
-        {"kinetic_energy_below": 1e-9, "max_duration": stage_duration}
-        if rest
-        else {"duration": stage_duration}
-    )
     defaults = {
-        "walls": walls, "rolling": "epsd", "normal": normal,
+        "walls": walls, "rolling": "epsd", "normal": "zhou",
         "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
         "gravity": [0.0, 0.0, -9.81], "numerics": {"chunk_size": 32, "max_overlap": 0.3},
         "run": {"velocity_max": 2.0, "time_step": 4e-6},
         "stages": [
-            {"name": "fill", "duration": stage_duration}, {"name": "shake"} | middle,
+            {"name": "fill", "duration": stage_duration}, {"name": "shake", "duration": stage_duration},
             {"name": "out", "duration": stage_duration},
         ],
         "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "on_exit": "delete"},
@@ -82,10 +76,9 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, coun
                 "mix": {"kind": "lacey", "cell": 0.02, "at_least": 4, "groups": ["rain"]}, "web": {"kind": "fabric"},
             },
             "fields": {"bed": {"cell": 0.01, "stages": ["shake", "out"]}},
+            "collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14},
         },
     }  # fmt: skip
-    if counts_collisions:
-        defaults["output"]["collision_energies"] = {"min": 1e-9, "max": 1e-2, "classes": 14}
     groups = {"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}
     return build_scene(
         {name: group | (of_groups or {}) for name, group in groups.items()}, **(defaults | parts)
