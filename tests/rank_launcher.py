@@ -8,6 +8,7 @@ from pathlib import Path
 from shutil import which
 
 ROOT = Path(__file__).parent.parent
+RUNS = Path(__file__).parent / "rank_runs.py"
 WHEEL_MPIRUN = Path(sys.executable).parent / "mpirun"
 MPIRUN = str(WHEEL_MPIRUN) if WHEEL_MPIRUN.exists() else which("mpirun")
 
@@ -34,24 +35,22 @@ def environment():
     return os.environ | OPEN_MPI | {"PYTHONPATH": str(ROOT)}
 
 
-def on_ranks(ranks, *arguments, seconds=250, **variables):
+def on_ranks(ranks, *arguments, seconds=250):
     """The completed process of `mpirun -n ranks python arguments`; stdout and stderr are text."""
-    command = [MPIRUN, "-n", str(ranks), sys.executable, *map(str, arguments)]
-    return subprocess.run(
-        command, capture_output=True, text=True, timeout=seconds, env=environment() | variables
-    )
+    return _completed(MPIRUN, "-n", ranks, sys.executable, *arguments, seconds=seconds)
 
 
 def alone(*arguments, seconds=250):
     """The completed process of `python arguments`."""
-    command = [sys.executable, *map(str, arguments)]
+    return _completed(sys.executable, *arguments, seconds=seconds)
+
+
+def _completed(*command, seconds):
+    command = [str(each) for each in command]
     return subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment())
 
 
 def is_open_mpi():
     """Whether mpirun is that of Open MPI, which kills the ranks about a second after it has received a
     signal."""
-    done = subprocess.run(
-        [MPIRUN, "--version"], capture_output=True, text=True, timeout=60, env=environment()
-    )
-    return "Open MPI" in done.stdout
+    return "Open MPI" in _completed(MPIRUN, "--version", seconds=60).stdout

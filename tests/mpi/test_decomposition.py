@@ -1,4 +1,4 @@
-"""Recursive coordinate bisection, and the selection of ghosts, in one process."""
+"""Decomposition of space among ranks, its balance by measured times, and the selection of ghosts."""
 
 from types import SimpleNamespace
 
@@ -6,15 +6,46 @@ import numpy as np
 import pytest
 
 from granflow.geometry.periodic_box import ImageMotion, PeriodicBox
-from granflow.parallel.exchange import bisected, box_of, within
+from granflow.parallel.exchange import (
+    CONTACT_WEIGHT,
+    PARTICLE_WEIGHT,
+    LoadBalance,
+    MeasuredCost,
+    box_of,
+    migration_pays,
+    relative_costs,
+    within,
+)
+
+
+def test_costs_are_limited_and_need_the_times_of_all_ranks():
+    weights = np.array([100, 100])
+    assert relative_costs(weights, np.array([0.01, np.inf])).tolist() == [1.0, 1.0]
+    assert relative_costs(np.array([200, 0]), np.array([0.01, 0.01])).tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(relative_costs(weights, np.array([0.03, 0.01])), [1.5, 0.5])
+    assert relative_costs(np.array([100, 1000]), np.array([0.1, 0.01]))[0] == 2.0
+
+
+@pytest.mark.parametrize(("steps", "due"), [(39, False), (41, True)])
+def test_migration_is_due_when_waiting_has_cost_twice_its_time(steps, due):
+    """Steps of 12 and 8 ms: 2 ms over the mean in each, 80 ms in 40 steps, twice the 40 ms of the slower
+    migration."""
+    assert migration_pays([MeasuredCost(0.012, steps, 0.03), MeasuredCost(0.008, steps, 0.04)]) is due
+    assert not migration_pays([MeasuredCost(0.012, 10 * steps, 0.03), MeasuredCost(0.012, 10 * steps, 0.04)])
+    assert not migration_pays([MeasuredCost(np.inf, 0, 0.01), MeasuredCost(np.inf, 0, 0.01)])
+    assert not migration_pays([MeasuredCost(2e-4, 10**6, 0.01), MeasuredCost(1e-4, 10**6, 0.01)])
 
 
 class AllParticles:
-    """A communicator of a rank that has all particles, with a number of ranks to which they are
-    distributed."""
+    """A communicator of rank 0, which has all particles and has measured its time alone."""
+
+    rank = 0
 
     def __init__(self, size):
         self.size = size
+
+    def from_each(self, value):
+        return [value, *[(0, np.inf)] * (self.size - 1)]
 
     def sums(self, values):
         return values
@@ -22,43 +53,30 @@ class AllParticles:
     largest_of = sums
 
 
-def ones(position):
-    """Equal weights."""
-    return np.ones(len(position), np.int64)
-
-
-@pytest.mark.parametrize("ranks", [1, 2, 3, 5, 8])
-@pytest.mark.parametrize("largest", [1, 49])
-def test_each_rank_has_an_equal_weight(ranks, largest):
-    """To two particles."""
+@pytest.mark.parametrize("ranks", [2, 3, 8])
+def test_ranks_have_equal_weights_and_later_particles_an_owner(ranks):
+    """To three particles; those with contacts weigh more. The first cut is across the longest side."""
     rng = np.random.default_rng(6)
-    position = rng.normal(size=(1000, 3)) * [3.0, 1.0, 0.2]
-    weights = rng.integers(1, largest + 1, 1000)
-    owner = bisected(AllParticles(ranks), position, weights).owners(position)
+    position = rng.random((1000, 3)) * [1.0, 4.0, 2.0]
+    contacts = np.where(position[:, 1] < 2.0, 6, 0)
+    balance = LoadBalance(AllParticles(ranks))
+    owner = balance.owners(position, contacts)
+    weights = PARTICLE_WEIGHT + CONTACT_WEIGHT * contacts
     owned = np.bincount(owner, weights, minlength=ranks)
-    assert len(owned) == ranks
-    assert np.ptp(owned) <= 2 * largest
-
-
-def test_parts_are_cut_across_their_longest_side():
-    position = np.random.default_rng(2).random((1000, 3)) * [1.0, 5.0, 2.0]
-    owner = bisected(AllParticles(2), position, ones(position)).owners(position)
-    assert position[owner == 0, 1].max() < position[owner == 1, 1].min()
-
-
-@pytest.mark.parametrize("count", [0, 100])
-def test_particles_outside_the_bed_and_later_ones_have_an_owner(count):
-    position = np.random.default_rng(3).random((count, 3))
-    found = bisected(AllParticles(3), position, ones(position))
-    assert set(found.owners(np.array([[-9.0, 0.5, 0.5], [9.0, 9.0, 9.0], [0.1, 0.2, 0.3]]))) <= {0, 1, 2}
+    assert len(owned) == ranks and np.ptp(owned) <= 3 * weights.max()
+    assert position[owner < ranks // 2, 1].max() < position[owner >= ranks // 2, 1].min()
+    assert np.bincount(owner)[-1] > 1.4 * np.bincount(owner)[0]
+    later = np.array([[-9.0, 0.5, 0.5], [9.0, 9.0, 9.0], [0.1, 0.2, 0.3]])
+    assert set(balance.owners(later, np.zeros(3, int))) <= set(range(ranks))
+    empty = LoadBalance(AllParticles(ranks))
+    assert len(empty.owners(np.zeros((0, 3)), np.zeros(0, int))) == 0
+    assert set(empty.owners(later, np.zeros(3, int))) <= set(range(ranks))
 
 
 SHEAR = ImageMotion(flow=1, gradient=0, speed=1.0, start=0.0)
 
 
-@pytest.mark.parametrize(
-    ("axes", "motion"), [((), None), ((0,), None), ((0, 1, 2), None), ((0, 1, 2), SHEAR)]
-)
+@pytest.mark.parametrize(("axes", "motion"), [((), None), ((0, 1, 2), None), ((0, 1, 2), SHEAR)])
 def test_ghosts_contain_all_pairs_within_reach(axes, motion):
     rng = np.random.default_rng(5)
     width = np.array([1.0, 0.8, 0.6])

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,21 +12,23 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 import rank_launcher
-from rank_launcher import alone, environment, on_ranks
+from rank_launcher import RUNS, alone, environment, on_ranks
 from rank_scenes import pair, resumable
+from resume.runs import files_of
 
 from granflow.cli.main import main
-from granflow.engine.kernel_cache import CACHE_VARIABLE, CACHED_KERNELS
-from granflow.io.checkpoint import newest_checkpoint, read_checkpoint
+from granflow.io.checkpoint import CheckpointError, newest_checkpoint, read_checkpoint, remove_after
+from granflow.runs.run_directory import CheckpointWriter
+from granflow.scene.blocks.output import Checkpoints
 
 pytestmark = pytest.mark.skipif(
     bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started"
 )
 
-PROGRAM = Path(__file__).parent.parent / "rank_runs.py"
 LONGEST_END = 10.0
 """Time [s] in which a failure of one rank must end all ranks."""
 
@@ -67,62 +70,111 @@ def session(tmp_path_factory):
         pair(pair={"restitution": restitution}).save(folder / str(rank) / "own.yaml")
     for name, changes in ABORTS.items():
         pair(**changes).save(folder / f"{name}.yaml")
+    part = str(folder / "part")
     commands = {
-        "part": ["run", scene, "--mpi", "--out", str(folder / "part"), "--until", "0.0021"],
+        "begin": ["run", scene, "--mpi", "--out", part, "--until", "0.0012"],
+        "part": ["resume", part, "--mpi", "--until", "0.0021"],
         **{
             name: ["run", str(folder / f"{name}.yaml"), "--mpi", "--out", str(folder / name)]
-            for name in ABORTS
+            for name in (*ABORTS, "invalid")
         },
         "unmarked": ["run", scene, "--out", str(folder / "unmarked")],
-        "invalid": ["run", str(folder / "invalid.yaml"), "--mpi", "--out", str(folder / "invalid")],
         "different": ["run", "own.yaml", "--mpi", "--out", str(folder / "different")],
     }
     (folder / "commands.json").write_text(json.dumps(commands))
-    done = on_ranks(2, "-c", SESSION, folder, **{CACHE_VARIABLE: str(folder / "cache")})
+    done = on_ranks(2, "-c", SESSION, folder)
     assert done.returncode == 0, done.stderr[-3000:]
     return folder, [json.loads((folder / str(rank) / "results.json").read_text()) for rank in range(2)]
 
 
-def assert_same_files(expected, found):
-    """Assert that two runs have written the same frames and the same time series."""
-    names, others = (
-        sorted(path.name for path in folder.iterdir() if path.suffix in (".vtu", ".pvd", ".csv"))
-        for folder in (expected, found)
-    )
-    assert names == others
-    assert any(name.endswith(".vtu") for name in names)
-    for name in names:
-        assert (expected / name).read_bytes() == (found / name).read_bytes(), name
+@pytest.fixture
+def part(session, tmp_path):
+    """A copy of the run on two ranks that ended before its last stage, and its two checkpoints."""
+    out = shutil.copytree(session[0] / "part", tmp_path / "part")
+    kept = sorted(out.glob("checkpoint_*.npz"))
+    assert len(kept) == len([*out.glob("rank_*_0001.npz")]) == len([*out.glob("rank_*")]) == 2
+    return out, *kept
 
 
-def test_a_run_on_two_ranks_is_resumed_without_mpi(session, taichi_f64):
+def test_a_run_on_two_ranks_is_resumed_there_and_without_mpi(session, part, taichi_f64):
     """The first stage ends on a quantity; each rank writes a file of each checkpoint.
 
     Heat, wear, an outlet, and the settings and deletions of a stage have acted on the ranks: `bits` compares
     other scenes on ranks in slow tests only.
     """
     folder, ranks = session
-    assert ranks[0]["part"][0] == 0, ranks[0]["part"]
-    assert ranks[1]["part"] == [0, "", ""], "only the root prints"
-    kept = [*(folder / "part").glob("checkpoint_*.npz")]
-    assert len(kept) == len([*(folder / "part").glob("rank_*_0001.npz")]) == 2
+    out, _, newest = part
+    for name in ("begin", "part"):
+        assert ranks[0][name][0] == 0, ranks[0][name]
+        assert ranks[1][name] == [0, "", ""], "only the root prints"
     counts = [
-        len(read_checkpoint(kept[0], part).saved["engine"]["particles"]["id"]) for part in ("root", "all")
+        len(read_checkpoint(newest, each).saved["engine"]["particles"]["id"]) for each in ("root", "all")
     ]
-    assert 0 < counts[0] < counts[1] and counts[1] > 64 + 27, (
-        "both ranks have particles, and some are inserted"
-    )
-    with open(folder / "part" / "timeseries.csv", newline="") as file:
+    assert 0 < counts[0] < counts[1] and counts[1] > 64 + 27, "both ranks have some, and some are inserted"
+    with open(out / "timeseries.csv", newline="") as file:
         *_, row = csv.DictReader(file)
     last = {name.partition(" [")[0]: value for name, value in row.items()}
     assert last["stage"] == "mix" and float(last["deleted_count"]) > float(last["outlet_count.corner"])
     assert all(float(last[name]) for name in EFFECTS)
     whole = folder / "whole"
     assert main(["run", str(folder / "scene.yaml"), "--out", str(whole), "--threads", "2"]) == 0
-    assert main(["resume", str(folder / "part"), "--threads", "2"]) == 0
-    assert_same_files(whole, folder / "part")
+    assert main(["resume", str(out), "--threads", "2"]) == 0
+    assert files_of(out) == files_of(whole)
     stages = [row.split(",")[1] for row in (whole / "timeseries.csv").read_text().splitlines()[1:]]
     assert 10 < stages.count("approach") < 100, "the condition ends the first stage"
+
+
+def flip_a_bit(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (Path.unlink, "needs the file rank_.* of a rank, which cannot be read"),
+        (
+            lambda path: os.truncate(path, 1000),
+            "needs the file rank_.* of a rank, which is another one or truncated",
+        ),
+        (flip_a_bit, "rank_.* is damaged: it is truncated, or its bytes have changed"),
+    ],
+)
+def test_the_previous_checkpoint_replaces_one_with_an_invalid_file_of_a_rank(part, damage, reason):
+    out, before, newest = part
+    damage(max(out.glob("rank_*")))
+    found, skipped = newest_checkpoint(out)
+    assert found.path == before
+    with pytest.raises(
+        CheckpointError, match=f"{reason}.*Remove it to use the checkpoint before it.$"
+    ) as error:
+        read_checkpoint(newest)
+    assert skipped == [str(error.value)]
+
+
+def test_files_of_ranks_are_replaced_and_removed_with_their_checkpoint(part):
+    """A checkpoint of the same step, without files of ranks, replaces the newest one, which remains usable until
+    then."""
+    out, before, newest = part
+    state = read_checkpoint(newest)
+    writer = CheckpointWriter(out, Checkpoints(), state.scene)
+
+    def saved(_):
+        assert len(read_checkpoint(newest, "root").rank_files) == 1
+        return state.saved | {"rank_files": []}
+
+    writer.write(state.time, int(newest.stem[-12:]), saved)
+    (file,) = out.glob("rank_*")
+    assert file.name.startswith(f"rank_{before.stem[-12:]}")
+    ids = [
+        read_checkpoint(newest).saved["engine"]["particles"]["id"],
+        state.saved["engine"]["particles"]["id"],
+    ]
+    np.testing.assert_array_equal(*ids)
+    before.unlink()
+    remove_after(out, newest)
+    assert newest.exists() and not list(out.glob("rank_*"))
 
 
 @pytest.mark.parametrize("name", ABORTS)
@@ -134,8 +186,7 @@ def test_an_abort_has_the_message_of_a_run_without_mpi(session, taichi_f64, tmp_
         [line for line in text.splitlines() if "Stopped:" in line]
         for text in (capsys.readouterr().err, ranks[0][name][2])
     )
-    assert len(root) == 1
-    assert alone[0].replace(str(tmp_path), str(folder)) == root[0], (alone, root)
+    assert [line.replace(str(tmp_path), str(folder)) for line in alone] == root and len(root) == 1
     assert ranks[1][name] == [0, "", ""]
     found = [newest_checkpoint(parent / name) for parent in (tmp_path, folder)]
     assert (found[0][0] is None) == (found[1][0] is None), "the last good state is a checkpoint on ranks, too"
@@ -154,29 +205,23 @@ def test_wrong_use_is_refused_with_one_sentence(session):
     assert not any((folder / name / "result.json").exists() for name in ("unmarked", "invalid", "different"))
 
 
-@pytest.mark.parametrize(("fault", "rank"), [("failing", 1), ("failing_root", 0), ("failing_start", 1)])
-def test_an_exception_in_one_rank_ends_all(session, tmp_path, fault, rank):
-    """The ranks read the kernels that the ranks of the session have stored."""
-    cache = session[0] / "cache"
-    stored = {path.name for path in cache.glob(CACHED_KERNELS)}
-    none = tmp_path / "none.npz"
-    done = on_ranks(2, PROGRAM, "pair", none, fault, **{CACHE_VARIABLE: str(cache)})
-    ended = time.time()
-    assert done.returncode != 0
-    assert f"rank {rank} failed, which ends all ranks" in done.stderr
-    (began,) = re.findall(r"ArithmeticError: a fault of this test at ([\d.]+) s", done.stderr)
-    assert ended - float(began) < LONGEST_END
-    assert not none.exists()
-    assert stored and {path.name for path in cache.glob(CACHED_KERNELS)} == stored
-
-
-def test_an_error_of_the_root_outside_of_a_command_ends_the_program(session, tmp_path):
-    """Although the files of its run are still open."""
-    cache = {CACHE_VARIABLE: str(session[0] / "cache")}
-    done = on_ranks(2, PROGRAM, "pair", tmp_path / "out", "refused", seconds=120, **cache)
-    assert done.returncode != 0
-    assert "Changes from Python do not work on MPI ranks" in done.stderr
-    assert "The other ranks have ended" in done.stderr
+@pytest.mark.parametrize(
+    ("kind", "failed", "message"),
+    [
+        ("failing", 1, "ArithmeticError: a fault of this test"),
+        ("failing_root", 0, "ArithmeticError: a fault of this test"),
+        ("refused", None, "Changes from Python do not work on MPI ranks"),
+    ],
+)
+def test_an_exception_in_one_rank_ends_all(tmp_path, kind, failed, message):
+    """Within a command; or of the root outside of one, while the files of its run are open."""
+    done = on_ranks(2, RUNS, "pair", tmp_path / "out", kind, seconds=120)
+    time_of_end = time.time()
+    assert done.returncode != 0 and message in done.stderr
+    for began in re.findall(r"a fault of this test at ([\d.]+) s", done.stderr):
+        assert time_of_end - float(began) < LONGEST_END
+    ended = "The other ranks have ended" if failed is None else f"rank {failed} failed, which ends all ranks"
+    assert ended in done.stderr
 
 
 def test_a_scene_that_one_rank_cannot_read_ends_all(session):
@@ -210,24 +255,19 @@ def scene(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_is_resumed_on_other_numbers_of_ranks_also_after_damage(scene, tmp_path):
-    """The file of a rank is damaged, then missing: ranks refuse it, then use the checkpoint before it."""
+def test_a_run_is_resumed_on_other_numbers_of_ranks(scene, tmp_path):
+    """At last a file of a rank is damaged: all ranks refuse it, then use the checkpoint before it."""
     parts = tmp_path / "parts"
     completed(alone("-m", "granflow", "run", scene, "--out", parts, "--until", "0.0008"))
     for ranks, until in ((2, "0.0013"), (1, "0.0017"), (3, "0.0024")):
         completed(run_on_ranks(ranks, "resume", parts, "--mpi", "--until", until))
     damaged = max(parts.glob("rank_*.npz"))
-    data = bytearray(damaged.read_bytes())
-    data[len(data) // 2] ^= 1
-    damaged.write_bytes(data)
+    flip_a_bit(damaged)
     done = run_on_ranks(4, "resume", parts, "--mpi")
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert done.stderr.count(f"{damaged} is damaged: it is truncated, or its bytes have changed.") == 1
+    assert done.returncode == 2 and done.stderr.count(f"{damaged} is damaged") == 1
     damaged.unlink()
-    done = run_on_ranks(4, "resume", parts, "--mpi")
-    completed(done)
-    assert f"needs the file {damaged.name} of a rank, which cannot be read" in done.stderr
-    assert_same_files(tmp_path / "whole", parts)
+    completed(run_on_ranks(4, "resume", parts, "--mpi"))
+    assert files_of(parts) == files_of(tmp_path / "whole")
 
 
 @contextmanager
@@ -259,7 +299,7 @@ def test_a_killed_rank_ends_all_within_seconds_and_the_run_is_resumed(scene, tmp
         os.kill(ranks[-1].pid, signal.SIGKILL)
     assert not (parts / "result.json").exists(), "the run has not ended before the kill"
     completed(run_on_ranks(3, "resume", parts, "--mpi"))
-    assert_same_files(tmp_path / "whole", parts)
+    assert files_of(parts) == files_of(tmp_path / "whole")
 
 
 def rank_number(process):
@@ -269,9 +309,10 @@ def rank_number(process):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("receives", ["mpirun", "ranks", "rank 1"])
-def test_a_signal_writes_a_checkpoint_and_ends_all_within_seconds(scene, tmp_path, number, receives):
+@pytest.mark.parametrize(
+    ("receives", "number"), [("mpirun", signal.SIGINT), ("ranks", signal.SIGTERM), ("rank 1", signal.SIGTERM)]
+)
+def test_a_signal_writes_a_checkpoint_and_ends_all_within_seconds(scene, tmp_path, receives, number):
     """Ctrl-C in a terminal and mpirun signal all ranks, as batch systems do before the time limit of a job.
 
     A signal to one rank other than the root stops all.
@@ -285,3 +326,15 @@ def test_a_signal_writes_a_checkpoint_and_ends_all_within_seconds(scene, tmp_pat
             os.kill(process.pid, number)
     newest = newest_checkpoint(out)[0]
     completed(run_on_ranks(3, "resume", out, "--mpi", "--until", newest.time + 1e-3))
+
+
+@pytest.mark.slow
+def test_arrays_grow_on_all_ranks_with_the_same_bits(tmp_path):
+    """`bits` compares the features on two ranks."""
+    completed(alone(RUNS, "bed", tmp_path / "alone.npz", "alone"))
+    completed(on_ranks(3, RUNS, "bed", tmp_path / "ranks.npz", "small"))
+    expected, found = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("alone", "ranks"))
+    assert expected["rebuilds"] >= 3 and len(expected["history.pairs"].T) > 10
+    assert found.pop("growths") >= 2, "for particles and for neighbor lists"
+    assert found.keys() == expected.keys()
+    assert not [name for name, values in expected.items() if not np.array_equal(values, found[name])]

@@ -3,7 +3,8 @@
 import sys
 
 import pytest
-from scene_builders import build_scene, particle_group
+from plan.scenes import TEXT
+from scene_builders import LIQUID, build_scene, particle_group
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
@@ -11,34 +12,13 @@ from granflow.parallel.rank_engine import RankEngine
 from granflow.parallel.refusals import refuse_on_ranks
 
 
-def particle_scene():
-    """A scene with one particle."""
-    return build_scene({"beads": particle_group([[0.0, 0.0, 0.0]])})
-
-
-WET = {
-    "pair": {"surface_tension": 0.07, "contact_angle": 0.0},
-    "contact": {
-        "normal": "hertz", "tangential": "mindlin", "rolling": "none",
-        "cohesion": {"law": "capillary_transfer", "max_bridge_volume": 1e-9},
-    },
-}  # fmt: skip
-REFUSED = {
-    "contact.cohesion: capillary_transfer does not work on MPI ranks": lambda: build_scene(
-        {"wet": particle_group([[0, 0, 0]], liquid_content=0.01)}, **WET
-    ),
-}
-
-
-@pytest.mark.parametrize("message", REFUSED)
-def test_scene_is_refused_by_check(tmp_path, capsys, message):
-    path = REFUSED[message]().save(tmp_path / "scene.yaml")
-    assert main(["check", str(path), "--mpi"]) == 2
-    assert message in capsys.readouterr().err
+def test_features_without_ranks_are_refused(tmp_path, capsys):
+    path = build_scene({"wet": particle_group([[0, 0, 0]], liquid_content=0.01)}, **LIQUID).save(
+        tmp_path / "wet.yaml"
+    )
     assert main(["check", str(path)]) == 0
-
-
-def test_gpu_and_python_are_refused():
+    assert main(["check", str(path), "--mpi"]) == 2
+    assert "contact.cohesion: capillary_transfer does not work on MPI ranks" in capsys.readouterr().err
     with pytest.raises(GranflowError, match="--arch vulkan does not work with --mpi"):
         refuse_on_ranks("vulkan")
     with pytest.raises(GranflowError, match="Forces from Python do not work on MPI ranks"):
@@ -47,18 +27,17 @@ def test_gpu_and_python_are_refused():
         RankEngine.begin_change(object())
 
 
-def test_mpi_without_mpi4py_is_refused(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "mpi4py", None)
-    path = particle_scene().save(tmp_path / "scene.yaml")
-    assert main(["run", str(path), "--mpi", "--out", str(tmp_path / "out")]) == 2
+def test_launches_without_mpi4py_or_without_the_option_are_refused(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "beads.yaml"
+    path.write_text(TEXT)
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "mpi4py", None)
+        assert main(["run", str(path), "--mpi", "--out", str(tmp_path / "out")]) == 2
     assert "--mpi needs mpi4py and an MPI library" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("variable", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"])
-def test_run_and_resume_in_several_processes_are_refused(variable, tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv(variable, "3")
-    path = particle_scene().save(tmp_path / "scene.yaml")
-    for arguments in (["run", str(path)], ["resume", str(tmp_path)]):
-        assert main(arguments) == 2
-        assert "mpirun has started 3 processes" in capsys.readouterr().err
+    for variable in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"):
+        for arguments in (["run", str(path)], ["resume", str(tmp_path)]):
+            with monkeypatch.context() as launched:
+                launched.setenv(variable, "3")
+                assert main(arguments) == 2
+            assert "mpirun has started 3 processes" in capsys.readouterr().err

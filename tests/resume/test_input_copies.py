@@ -50,8 +50,8 @@ def test_run_continues_from_copies_of_input_files_outside_the_scene_folder(taich
 
 
 def test_copies_are_numbered_and_keep_clear_of_results_and_links_are_followed(scene, tmp_path):
-    """Three meshes box.stl: an absolute path, a link in the folder of the scene, and a relative path; and a table
-    with the name of a result."""
+    """Three meshes box.stl: an absolute path, a link in the folder of the scene, and a relative path; a table with
+    the name of a result; and a sieve curve, which the scene keeps without its file."""
     files = {"parts/box.stl": 1.0, "linked.stl": 1.01, "other/box.stl": 1.02}
     for name, height in files.items():
         points, corners = cube()
@@ -61,9 +61,22 @@ def test_copies_are_numbered_and_keep_clear_of_results_and_links_are_followed(sc
     shutil.copy(tmp_path / "here" / "tables" / "lift.csv", scene.parent / "timeseries.csv")
     given = (str(tmp_path / "parts" / "box.stl"), "box.stl", "../../other/box.stl")
     overrides = [f"walls.w{k}={{shape: mesh, file: {name}, material: glass}}" for k, name in enumerate(given)]
-    scene = load_scene(scene, ["walls.lid.motion.0.file=timeseries.csv", *overrides])
+    (tmp_path / "sieves.csv").write_text("opening [mm],passing [%]\n3,0\n4,40\n5,100\n")
+    region = "{box: {min: [0, 0, 1 cm], max: [2 cm, 2 cm, 2 cm]}}"
+    sieved = "diameter: {distribution: sieve, file: ../../sieves.csv}"
+    overrides += [
+        "walls.lid.motion.0.file=timeseries.csv",
+        f"particles.grit={{material: glass, count: 5, {sieved}, insert: {{kind: lattice, region: {region}}}}}",
+    ]
+    scene = load_scene(scene, overrides)
+    copied = copied_scene(scene)
     copies = ["inputs/box.stl", "box.stl", "inputs/box_2.stl"]
-    assert set(names_of(copied_scene(scene))) == {"inputs/timeseries.csv", "inputs/beads.csv", *copies}
+    assert set(names_of(copied)) == {
+        *copies,
+        *(f"inputs/{name}.csv" for name in ("timeseries", "beads", "sieves")),
+    }
+    elsewhere = scene_of(copied.to_yaml(), str(tmp_path / "there" / "scene.yaml"))
+    assert elsewhere.particles["grit"].size_spans() == [(0.003, 0.005)]
     out = tmp_path / "out"
     directory = RunDirectory(out, scene, None)
     directory.create()
@@ -71,16 +84,3 @@ def test_copies_are_numbered_and_keep_clear_of_results_and_links_are_followed(sc
         for copy, original in zip(copies, files, strict=True):
             assert (out / copy).read_bytes() == (tmp_path / original).read_bytes()
             assert not (out / copy).is_symlink()
-
-
-def test_sieve_curve_is_copied_and_kept_without_its_file(tmp_path):
-    (tmp_path / "sieves.csv").write_text("opening [mm],passing [%]\n3,0\n4,40\n5,100\n")
-    (tmp_path / "scenes").mkdir()
-    path = tmp_path / "scenes" / "sieved.yaml"
-    path.write_text(TEXT)
-    written = copied_scene(
-        load_scene(path, ["particles.beads.diameter={distribution: sieve, file: ../sieves.csv}"])
-    )
-    assert names_of(written) == ["inputs/sieves.csv"]
-    elsewhere = scene_of(written.to_yaml(), str(tmp_path / "there" / "scene.yaml"))
-    assert elsewhere.particles["beads"].size_spans() == [(0.003, 0.005)]

@@ -131,8 +131,8 @@ def resumed(home, out):
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
 def test_run_killed_at_a_write_resumes_bit_identically(home, whole, writes):
-    """About 40 writes of a run, including each of the first 20; one killed and resumed run for each."""
-    for number in [*range(1, 21), *range(21, writes + 1, max((writes - 20) // 20, 1))]:
+    """About 25 writes of a run, including each of the first 15; one killed and resumed run for each."""
+    for number in [*range(1, 16), *range(16, writes + 1, max((writes - 15) // 10, 1))]:
         out = home / f"write{number}"
         killed = granflow(home, "run", "beads.yaml", "--out", out.name, fault=("kill", str(number)))
         assert killed.returncode == -signal.SIGKILL
