@@ -41,27 +41,10 @@ def compressed_bed(chunk_size):
     )  # fmt: skip
 
 
-def large_among_small():
-    """450 small particles press on a large one; a batch at first holds 392 candidate pairs of one particle."""
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(450)
-    height = 1.0 - (2.0 * np.arange(450) + 1.0) / 450
-    level = np.sqrt(1.0 - height**2)
-    directions = np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=1)
-    groups = {
-        "large": particle_group([[0.0, 0.0, 0.0]], 0.04),
-        "small": particle_group(0.021 * directions, 0.002, velocity=-0.1 * directions),
-    }
-    return build_scene(groups, pair={"friction": 0.4}, numerics={"chunk_size": 16}, run={"duration": 1e-4})
-
-
 def short_lists(monkeypatch):
     monkeypatch.setattr(Plan, "list_capacity_per_segment", property(lambda plan: 8))
     monkeypatch.setattr(plan_module, "MIN_LIST_ENTRIES", 1)
     monkeypatch.setattr(capacities, "SPARE", 1)
-
-
-def short_batches(monkeypatch):
-    monkeypatch.setattr(plan_module, "MIN_BATCH", 1)
 
 
 def little_history(monkeypatch):
@@ -81,19 +64,13 @@ def run_and_sample(scene):
 
 
 @pytest.mark.parametrize(
-    ("build", "chunk_size", "reduce"),
-    [
-        (compressed_bed, 1, short_lists),
-        pytest.param(compressed_bed, 16, little_history, marks=pytest.mark.slow),
-        pytest.param(large_among_small, None, short_batches, marks=pytest.mark.slow),
-    ],
+    ("chunk_size", "reduce"),
+    [(1, short_lists), pytest.param(16, little_history, marks=pytest.mark.slow)],
 )
-def test_capacities_that_start_small_grow_and_are_bit_identical(
-    taichi_f64, monkeypatch, build, chunk_size, reduce
-):
+def test_capacities_that_start_small_grow_and_are_bit_identical(taichi_f64, monkeypatch, chunk_size, reduce):
     """The reference takes the arrays of the run that has grown them, and compiles nothing."""
     monkeypatch.setattr(state_cache, "_kept", [])
-    scene = build(chunk_size) if chunk_size else build()
+    scene = compressed_bed(chunk_size)
     with monkeypatch.context() as patch:
         reduce(patch)
         grown, growth_count = run_and_sample(scene)

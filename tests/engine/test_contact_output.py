@@ -4,7 +4,6 @@ import csv
 
 import numpy as np
 import pytest
-from geometry.meshes import sheet, write
 from scene_builders import (
     SOFT,
     box,
@@ -150,19 +149,6 @@ def test_each_contact_of_a_gas_counts_once(taichi_f64):
         last = snapshot
     assert {kind: int(counts.sum()) for kind, counts in last.collisions.items()} == new
     assert new["particle"] > 100 and new["wall"] > 20
-
-
-@pytest.mark.slow
-def test_sphere_that_slides_over_the_triangles_of_a_mesh_collides_once(taichi_f64, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # in which scenes without a file look for meshes
-    write(tmp_path / "plate.obj", *sheet(40, 0.4))
-    ball = particle_group([[0.0, 0.003, 0.00501]], 0.01, velocity=[[0.5, 0.0, 0.0]])
-    walls = {"plate": {"shape": "mesh", "file": "plate.obj", "material": "glass"}}
-    pair = {"restitution": 0.05, "friction": 0.1}
-    scene = counting({"ball": ball}, walls, gravity=GRAVITY.tolist(), pair=pair, duration=0.3)
-    snapshots = run_and_sample(scene, 0.05)
-    assert snapshots[-1].particles["position"][0, 0] > 0.1, "it has slid over ten triangles"
-    assert snapshots[1].collisions["wall"].sum() == snapshots[-1].collisions["wall"].sum() <= 3
 
 
 def test_file_has_the_counts_of_each_interval_and_a_resting_sphere_counts_none(tmp_path, taichi_f64):

@@ -23,22 +23,13 @@ def deformed(positions, deformation, diameter=0.01, duration=0.01, pair=None, st
     """Spheres in a periodic cube that deforms."""
     moving = {} if velocity is None else {"velocity": velocity}
     run = {"velocity_max": 1.0, "time_step": 4e-6}
+    box = {"min": [0.01] * 3, "max": [0.01 + SIDE] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"}
     return build_scene(
-        {"balls": particle_group(positions, diameter, **moving)},
-        normal="hertz",
-        pair={"restitution": 1.0} | (pair or {}),
-        domain={
-            "min": [0.01] * 3,
-            "max": [0.01 + SIDE] * 3,
-            "periodic": ["x", "y", "z"],
-            "on_exit": "error",
-            "deformation": deformation,
-        },
-        numerics={"chunk_size": 16},
-        run=run if stages else run | {"duration": duration},
-        output={"interval": 1.0, "energy_budget": True},
+        {"balls": particle_group(positions, diameter, **moving)}, normal="hertz", numerics={"chunk_size": 16},
+        pair={"restitution": 1.0} | (pair or {}), domain=box | {"deformation": deformation},
+        run=run if stages else run | {"duration": duration}, output={"interval": 1.0, "energy_budget": True},
         **({"stages": stages} if stages else {}),
-    )
+    )  # fmt: skip
 
 
 def lattice(count=3):
@@ -49,20 +40,6 @@ def lattice(count=3):
 def of_axes(last, name):
     """A total of each axis."""
     return np.array([last.totals[f"{name}_{axis}"] for axis in AXES])
-
-
-def test_particles_without_contacts_follow_the_affine_field(taichi_f64):
-    """x(t) - low = (x(0) - low) W(t) / W(0) with W(t) = W(0) exp(rate t); their energy is boundary work."""
-    rates = np.array([-10.0, 0.0, 5.0])
-    deformation = {"x": {"strain_rate": rates[0]}, "z": {"strain_rate": rates[2]}}
-    last, _ = run_to_end(deformed(lattice(), deformation, diameter=0.002))
-    width = of_axes(last, "box_width")
-    np.testing.assert_allclose(width, SIDE * np.exp(rates * last.time), rtol=1e-5)
-    expected = 0.01 + (lattice() - 0.01) * width / SIDE
-    np.testing.assert_allclose(last.particles["position"], expected, rtol=1e-13)
-    np.testing.assert_allclose(last.particles["velocity"], rates * (expected - 0.01), atol=2e-5)
-    assert last.totals["boundary_work"] == pytest.approx(last.totals["kinetic_energy"], rel=1e-10)
-    assert last.totals["solid_fraction"] == pytest.approx(27 * np.pi / 6 * 0.002**3 / width.prod())
 
 
 STIFFNESS = 4 / 3 * SOFT["young_modulus"] / (2 * (1 - SOFT["poisson_ratio"] ** 2)) * np.sqrt(0.0025)
@@ -135,7 +112,7 @@ def test_pressure_alternates_above_the_stability_limit_of_the_gain(taichi_f64, s
 
 
 def test_pressures_off_their_targets_are_a_warning_and_frames_have_the_widths(taichi_f64, tmp_path):
-    """With a small gain, the rate is gain times the deviation; the run resumes with its samples."""
+    """With a small gain, the rate is gain times the deviation."""
     scene = approach(CONTROL | {"z": {"strain_rate": 0.0}, "gain": 1e-5}, 0.005)
     with Simulation(scene, out=tmp_path / "run") as simulation:
         simulation.run()
@@ -143,16 +120,14 @@ def test_pressures_off_their_targets_are_a_warning_and_frames_have_the_widths(ta
         (without_samples,) = box_off_target(simulation.engine, "control", [])
     (sentence,) = [each for each in read_run(tmp_path / "run").result.warnings if "off its target" in each]
     assert without_samples == sentence  # a stage that ends before its first sample
-    assert sentence.startswith("stages.1.deformation") and "at the end of stage control (0.005 s)" in sentence
-    along = sentence.split("off its target along ")[1].split("; ")[0]
     reached = of_axes(last, "box_pressure")
-    assert along == ", ".join(f"{AXES[k]}: {reached[k]:.3g} Pa instead of 4e+03 Pa" for k in (0, 1))
+    for k in (0, 1):
+        assert f"{AXES[k]}: {reached[k]:.3g} Pa instead of 4e+03 Pa" in sentence
     assert f"at up to {1e-5 * (reached[0] - 4e3):.3g} 1/s, gain times the deviation" in sentence
     frame = sorted((tmp_path / "run").glob("particles_*.vtu"))[-1]
-    arrays = {each.get("Name"): each for each in ElementTree.parse(frame).getroot().iter("DataArray")}
-    found = [float(arrays[f"box_width_{axis}"].text) for axis in AXES]
+    arrays = {each.get("Name"): each.text for each in ElementTree.parse(frame).getroot().iter("DataArray")}
+    found = [float(arrays[f"box_width_{axis}"]) for axis in AXES]
     np.testing.assert_array_equal(found, of_axes(last, "box_width"))
-    assert "box_width_x [m]" in arrays and arrays["box_width_x"].get("type") == "Float64"
 
 
 def test_tension_requires_contacts_that_pull():
@@ -166,17 +141,18 @@ def test_tension_requires_contacts_that_pull():
     assert plan_for(Scene.from_dict(given)).laws.attracts
 
 
-def test_overlap_of_a_compressed_box_names_the_box(taichi_f64):
+def test_overlap_of_a_compressed_box_names_the_box_and_a_narrow_box_stops_the_run(taichi_f64):
     """No text on walls and weight: a box without walls is compressed beyond the overlap limit."""
     given = deformed(lattice(), {axis: {"strain_rate": -10.0} for axis in AXES}, duration=0.02).to_dict()
     given["numerics"]["max_overlap"] = 0.1
-    with pytest.raises(RunError) as error:
+    with pytest.raises(RunError, match="the deforming box presses the particles together: end the") as error:
         run_to_end(Scene.from_dict(given))
-    message = str(error.value)
-    approach = float(message.split("They approach at ")[1].split(" ")[0])  # also of the pairs across a face
+    approach = float(str(error.value).split("They approach at ")[1].split(" ")[0])  # also across a face
     assert approach == pytest.approx(10.0 * (0.01 - 0.1 * 0.005), rel=5e-3)
-    assert "the deforming box presses the particles together: end the compression" in message
-    assert "wall" not in message and "weight" not in message
+    assert "wall" not in str(error.value) and "weight" not in str(error.value)
+    narrow = deformed([[0.02] * 3], {"x": {"strain_rate": -40.0}}, diameter=0.004, duration=0.1)
+    with pytest.raises(RunError, match=r"the periodic box along x at 0\.\d+ s is narrower than 0\.0\d+ m"):
+        run_to_end(narrow)
 
 
 def test_result_does_not_depend_on_the_position_of_the_boundary(taichi_f64):
@@ -202,12 +178,6 @@ def test_result_does_not_depend_on_the_position_of_the_boundary(taichi_f64):
     np.testing.assert_allclose(difference, 0.0, atol=1e-7)
     np.testing.assert_allclose(found[1][1], found[0][1], atol=2e-5)
     np.testing.assert_allclose(found[1][2], found[0][2], atol=2e-2)
-
-
-def test_box_that_becomes_too_narrow_stops_the_run(taichi_f64):
-    scene = deformed([[0.02] * 3], {"x": {"strain_rate": -40.0}}, diameter=0.004, duration=0.1)
-    with pytest.raises(RunError, match=r"the periodic box along x at 0\.\d+ s is narrower than 0\.0\d+ m"):
-        run_to_end(scene)
 
 
 def test_ranks_refuse_deforming_boxes():

@@ -3,14 +3,11 @@
 import meshio
 import numpy as np
 import pytest
-from scene_builders import box, build_scene, moving_lattice, particle_group
+from scene_builders import box, build_scene, moving_lattice
 
 from granflow import fields
 from granflow.engine.host import copy_to_host, particle_table
 from granflow.io.checkpoint import newest_checkpoint
-from granflow.plan.arrays import particle_arrays
-from granflow.plan.build import plan_for
-from granflow.plan.cost import estimate_memory
 from granflow.simulation import Simulation
 
 ROOM, HOT = 293.15, 400.0
@@ -74,28 +71,6 @@ def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_t
     assert_carried(restored)
     assert set(restored["visits"]) == set(frame["visits"]) == {3}
     resumed.free()
-
-
-@pytest.mark.parametrize(("precision", "size"), [("f64", 8 + 8 + 4), ("mixed", 4 + 4 + 4)])
-def test_added_property_is_counted_in_the_memory_estimate(precision, size, request):
-    plan = plan_for(build_scene({"balls": particle_group([[0.0, 0.0, 0.02 * k] for k in range(5)])}))
-    before = estimate_memory(plan, precision)
-    request.getfixturevalue("with_temperature")
-    after = estimate_memory(plan, precision)
-    assert after.per_particle - before.per_particle == size
-    assert after.total - before.total == size * plan.capacities.particles
-
-
-def test_property_with_a_condition_exists_only_if_the_plan_needs_it(monkeypatch):
-    condition = {"dtype": "real", "condition": lambda features: features.outlets}
-    monkeypatch.setitem(
-        fields._PARTICLE_FIELDS, "charge", fields.FieldSpec("charge", "q", "C", "", **condition)
-    )
-    out = {"out": {"half_space": {"point": [0, 0, -0.5], "normal": [0, 0, -1]}}}
-    for outlets in ({}, out):
-        plan = plan_for(build_scene({"ball": particle_group([[0.0] * 3])}, outlets=outlets))
-        wanted = {array.name: array.wanted for array in particle_arrays(plan)}
-        assert wanted["charge"] == bool(outlets)
 
 
 def test_the_properties_of_ghosts_are_one_block():

@@ -6,7 +6,6 @@ from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane, prepared_simulation
 
 from granflow.engine.codes import ABORT_REASONS, NO_PARTICLE
-from granflow.plan.capacities import REACH_STEPS
 from granflow.scene.blocks.motions import FreeWall
 from granflow.simulation import Simulation
 
@@ -136,19 +135,6 @@ def test_displacements_of_one_step_request_a_rebuild_and_abort_the_run(free_part
         assert after_one_step(free_particle, displacement, of_wall) == expected
     name = "wall" if of_wall else "displacement"
     assert after_one_step(free_particle, STEP_LIMIT * (1 + NEAR), of_wall)[0] == name
-
-
-def test_the_reach_of_a_fast_particle_is_longer_by_a_number_of_steps(free_particle):
-    """With d the displacement per step, a rebuild is due after n steps with n d > skin/2 + REACH_STEPS d."""
-    engine = free_particle.engine
-    displacement = SKIN / 9
-    assert SKIN / 2 + REACH_STEPS * displacement < engine.plan.reach_max
-    limit_exceeded(free_particle, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]])
-    rebuilds = engine.timing.rebuild_count
-    engine.advance(REACH_STEPS + 4)
-    assert engine.timing.rebuild_count == rebuilds
-    engine.advance(1)
-    assert engine.timing.rebuild_count == rebuilds + 1
 
 
 def test_a_position_that_is_not_finite_aborts_the_run(free_particle):

@@ -2,7 +2,6 @@
 restart."""
 
 import numpy as np
-import pytest
 from geometry.meshes import cube, sheet, tube, write
 from scene_builders import build_scene, particle_group
 
@@ -14,30 +13,21 @@ from granflow.kernel_language import ti
 from granflow.plan.build import plan_for
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """Working directory, in which scenes without a file look for meshes."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def wall(file, **more):
-    return {"shape": "mesh", "file": file, "material": "glass", **more}
-
-
 def all_meshes(folder):
     """A plan with a cube, a bumpy sheet and a tube, all rotated so that no coordinate is round."""
-    rotation = {"axis": [1, 2, 3], "angle": 0.7}
+    walls = {}
     for name, surface in (("cube", cube()), ("hills", sheet(5, bumps=0.03)), ("tube", tube(20, rings=3))):
         write(folder / f"{name}.ply", *surface)
-    walls = {name: wall(f"{name}.ply", rotate=rotation) for name in ("cube", "hills", "tube")}
+        rotation = {"axis": [1, 2, 3], "angle": 0.7}
+        walls[name] = {"shape": "mesh", "file": f"{name}.ply", "material": "glass", "rotate": rotation}
     domain = {"min": [-5.0] * 3, "max": [5.0] * 3, "on_exit": "error"}
     return plan_for(build_scene({"b": particle_group([0.0, 0.0, 4.0], 0.3)}, walls=walls, domain=domain))
 
 
-def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
+def test_device_contacts_match_the_reference_implementation(taichi_f64, tmp_path, monkeypatch):
     """Owner, gap and normal agree with the reference to rounding; all possible owners nearby are found."""
-    plan = all_meshes(folder)
+    monkeypatch.chdir(tmp_path)  # in which scenes without a file look for meshes
+    plan = all_meshes(tmp_path)
     state = State(plan, backend.start("cpu", "f64", 2))
 
     @ti.kernel
@@ -85,7 +75,3 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
         assert np.all(near[:, own].reshape(-1)[(gap_after_move < FAR_AWAY) | owned] == 1)
         assert near[:, own].mean() < 0.7, "most triangles are excluded"
     state.free()
-
-
-VIBRATION = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 5e-4, "frequency": 80.0}
-ROTATION = {"kind": "rotation", "point": [0, 0, 0.019], "axis": [1, 0, 0], "angular_velocity": 20.0}

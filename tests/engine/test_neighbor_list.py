@@ -1,65 +1,82 @@
-"""Neighbor list: candidate pairs, contact history through rebuilds, deletion of particles."""
+"""Neighbor list: candidate pairs, contact history through rebuilds, particles that leave the domain."""
 
 import numpy as np
 import pytest
 from scene_builders import (
     SOFT,
     assert_lists_hold,
-    box,
     build_scene,
     neighbors_of,
     particle_group,
+    plane,
     prepared_simulation,
     run_and_sample,
     run_to_end,
 )
 from scipy.spatial import cKDTree
 
-from granflow.engine.host import HistoryTable, append_particles, copy_to_host
 from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
 
-
-def random_particles(count, seed=1):
-    """Particles of many sizes at random positions in a box of 12 cm; some overlap."""
-    rng = np.random.default_rng(seed)
-    return {"balls": particle_group(rng.uniform(0.0, 0.12, (count, 3)), rng.uniform(0.004, 0.016, count))}
+DISTANT = np.array([[1000.0, 0.0, 0.0], [1000.008, 0.0, 0.0], [-300.0, 5.0, 2000.0], [-300.0, 5.009, 2000.0]])
 
 
-@pytest.mark.parametrize("chunk_size", [1, 37])
-def test_neighbor_list_holds_exactly_the_candidate_pairs(taichi_f64, chunk_size):
-    """Compared with a search over all pairs."""
+def test_neighbor_list_holds_exactly_the_candidate_pairs_and_distant_particles_do_not_enlarge_cells(
+    taichi_f64,
+):
+    """Compared with a search over all pairs. Particles a kilometer away lie outside the grid."""
+    rng = np.random.default_rng(1)
+    position = np.concatenate([rng.uniform(0.0, 0.12, (400, 3)), DISTANT])
+    radius = 0.5 * np.append(rng.uniform(0.004, 0.016, 400), [0.01] * 4)
+    wall = {"wall": plane([0.0, 0.0, 0.0], [1.0, 0.0, 0.0])}
     scene = build_scene(
-        random_particles(400), walls=box(0.12), numerics={"chunk_size": chunk_size, "skin": 0.002}
-    )
+        {"balls": particle_group(position, 2.0 * radius)}, wall, numerics={"chunk_size": 37, "skin": 0.002},
+        domain={"min": [0.0] * 3, "max": [0.12] * 3, "on_exit": "expand"},
+    )  # fmt: skip
     simulation = prepared_simulation(scene)
-    particles = simulation.snapshot().particles
-    position, radius = particles["position"], particles["radius"]
     near = cKDTree(position).query_pairs(0.018, output_type="ndarray")
     distance = np.linalg.norm(position[near[:, 0]] - position[near[:, 1]], axis=1)
     candidates = near[distance < radius[near].sum(axis=1) + 0.002]
-    assert len(candidates) > 300
+    assert len(candidates) > 300 and {(400, 401), (402, 403)} <= set(map(tuple, candidates.tolist()))
     assert_lists_hold(simulation, candidates)
-    at_walls = {(i, -1 - j) for i, j, _ in neighbors_of(simulation.engine) if j < 0}
-    gaps = np.stack([g for axis in range(3) for g in (position[:, axis], 0.12 - position[:, axis])], axis=1)
-    assert at_walls == {(i, w) for i, w in np.argwhere(gaps < radius[:, None] + 0.002).tolist()}
+    at_wall = {i for i, j, _ in neighbors_of(simulation.engine) if j < 0}
+    assert at_wall == set(np.flatnonzero(position[:, 0] < radius + 0.002))
+    sides = simulation.engine.state.cell_sort.cell_side.to_numpy()
+    assert sides.max() == pytest.approx(0.018, rel=0.01)
+    simulation.free()
+
+
+def test_size_classes_find_all_candidate_pairs(taichi_f64):
+    """Sizes 1 : 20 in four classes; pairs are owned, and listed twice across chunks, as with one class."""
+    rng = np.random.default_rng(9)
+    size, skin = 0.1, 0.0003
+    diameter = 0.0015 * 20.0 ** np.concatenate([rng.random(800) ** 3, [0.0, 1.0]])
+    positions = rng.uniform(0.0, size, (len(diameter), 3))
+    domain = {"min": [0.0] * 3, "max": [size] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"}
+    groups = {"balls": particle_group(positions, diameter)}
+    scene = build_scene(groups, numerics={"chunk_size": 64, "skin": skin}, domain=domain)
+    simulation = prepared_simulation(scene)
+    assert simulation.plan.features.size_classes == "4"
+    distance = positions[:, None] - positions
+    distance -= np.round(distance / size) * size
+    near = np.linalg.norm(distance, axis=2) < 0.5 * (diameter[:, None] + diameter) + skin
+    pairs = [(i, j) for i, j in np.argwhere(near).tolist() if i < j]
+    assert len(pairs) > 200
+    assert_lists_hold(simulation, pairs)
     simulation.free()
 
 
 def traveling_pair(skin):
-    """Two particles, the first in front, that rub against each other in flight, clamped between two of large
-    mass.
+    """Two particles, the first in front, that rub against each other in flight, clamped between two of large mass.
 
     A particle at rest fixes the grid, so that cell boundaries pass between the two in flight.
     """
     flight = [3.0, 0.0, 0.0]
+    spins = [[20.0, 0, 50.0], [-10.0, 30.0, 50.0]]
+    clamp = particle_group([[-0.0098, 0, 0], [0.0196, 0, 0]], material="heavy", velocity=flight)
     groups = {
-        "pair": particle_group(
-            [[0.0098, 0, 0], [0, 0, 0]],
-            velocity=flight,
-            angular_velocity=[[20.0, 0, 50.0], [-10.0, 30.0, 50.0]],
-        ),
-        "clamp": particle_group([[-0.0098, 0, 0], [0.0196, 0, 0]], material="heavy", velocity=flight),
+        "pair": particle_group([[0.0098, 0, 0], [0, 0, 0]], velocity=flight, angular_velocity=spins),
+        "clamp": clamp,
         "post": particle_group([[-0.1, -0.1, -0.1]]),
     }
     return build_scene(
@@ -78,49 +95,40 @@ def owners_during(scene):
     owners = []
 
     def sample(snapshot):
-        owners.extend(
-            int(owner) for owner, partner, _ in neighbors_of(simulation.engine) if {owner, partner} == {0, 1}
-        )
+        entries = neighbors_of(simulation.engine)
+        owners.extend(int(owner) for owner, partner, _ in entries if {owner, partner} == {0, 1})
 
-    simulation = Simulation(scene, observers=[on_interval(1e-4, sample)])
-    simulation.run()
-    last = simulation.snapshot()
-    count = simulation.engine.timing.rebuild_count
-    simulation.free()
-    return owners, last, count
+    with Simulation(scene, observers=[on_interval(1e-4, sample)]) as simulation:
+        simulation.run()
+        return owners, simulation.snapshot(), simulation.engine.timing.rebuild_count
 
 
 def test_contact_history_does_not_depend_on_owner_and_rebuilds(taichi_f64):
     """A run with many rebuilds and a change of owner is bit-identical to a run with few rebuilds."""
-    many_rebuilds = owners_during(traveling_pair(1e-3))
-    few_rebuilds = owners_during(traveling_pair(0.02))
-    assert set(many_rebuilds[0]) == {0, 1}, "each particle owns the pair at some time"
-    assert many_rebuilds[2] > 10 * few_rebuilds[2]
-    assert many_rebuilds[1].totals["friction_dissipation"] > 0.0
+    owners, many, rebuild_count = owners_during(traveling_pair(1e-3))
+    _, few, smaller_count = owners_during(traveling_pair(0.02))
+    assert set(owners) == {0, 1}, "each particle owns the pair at some time"
+    assert rebuild_count > 10 * smaller_count
+    assert many.totals["friction_dissipation"] > 0.0
     for name in ("position", "velocity", "angular_velocity", "force", "torque"):
-        np.testing.assert_array_equal(many_rebuilds[1].particles[name], few_rebuilds[1].particles[name])
+        np.testing.assert_array_equal(many.particles[name], few.particles[name])
 
 
 DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
-
-
-def open_scene(on_exit):
-    """Six particles leave the domain, among a row in which every second one does; the others stay."""
-    count = 40
-    positions = np.stack(
-        [np.linspace(-0.09, 0.09, count), np.full(count, -0.02), np.arange(count) * 1e-4], axis=1
-    )
-    velocity = np.outer(np.arange(count) % 2 == 0, [0.0, 5.0, 0.0])
-    groups = {
-        "outgoing": particle_group(0.05 * DIRECTIONS + [0, 0, 0.03], 0.002, velocity=2.0 * DIRECTIONS),
-        "row": particle_group(positions, np.linspace(0.002, 0.004, count), velocity=velocity),
-    }
-    domain = {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": on_exit}
-    return build_scene(groups, domain=domain, run={"duration": 0.05, "velocity_max": 5.0})
+OUTGOING = particle_group(0.05 * DIRECTIONS + [0, 0, 0.03], 0.002, velocity=2.0 * DIRECTIONS)
 
 
 def test_particles_outside_the_domain_are_deleted_and_counted_and_the_others_keep_their_ids(taichi_f64):
-    first, last = run_and_sample(open_scene("delete"), 0.05)
+    """Six particles leave the domain, and every second one of a row; the others stay."""
+    row = np.stack([np.linspace(-0.09, 0.09, 40), np.full(40, -0.02), np.arange(40) * 1e-4], axis=1)
+    velocity = np.outer(np.arange(40) % 2 == 0, [0.0, 5.0, 0.0])
+    groups = {
+        "outgoing": OUTGOING,
+        "row": particle_group(row, np.linspace(0.002, 0.004, 40), velocity=velocity),
+    }
+    domain = {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "delete"}
+    scene = build_scene(groups, domain=domain, run={"duration": 0.05, "velocity_max": 5.0})
+    first, last = run_and_sample(scene, 0.05)
     assert last.particles["id"].tolist() == list(range(7, 46, 2))
     for name in ("position", "radius", "velocity"):
         np.testing.assert_array_equal(last.particles[name], first.particles[name][7::2])
@@ -132,88 +140,20 @@ def test_particles_outside_the_domain_are_deleted_and_counted_and_the_others_kee
 
 def test_expanding_domain_keeps_all_particles(taichi_f64):
     """Particles outside move by x = x0 + v t, and two of them collide as in a domain that is large enough."""
-    groups = {
-        "outgoing": particle_group(0.05 * DIRECTIONS, velocity=2.0 * DIRECTIONS),
-        "resting": particle_group([[0.0, 0.0, 0.0]], 0.02),
-    }
-    domain = {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "expand"}
-    last, _ = run_to_end(build_scene(groups, domain=domain, run={"duration": 0.05, "velocity_max": 2.0}))
-    assert last.totals["deleted_count"] == 0.0
-    expected = (0.05 + 2.0 * last.time) * DIRECTIONS
-    np.testing.assert_allclose(last.particles["position"][:6], expected, rtol=1e-12)
-    pair = {"two": particle_group([[0.05, 0, 0], [-0.05, 0, 0.002]], velocity=[[2.0, 0, 0], [4.0, 0, 0]])}
+    pair = particle_group([[0.05, 0, 0], [-0.05, 0, 0.002]], velocity=[[2.0, 0, 0], [4.0, 0, 0]])
     large, small = (
         run_to_end(
-            build_scene(pair, domain={"min": [-size] * 3, "max": [size] * 3, "on_exit": "expand"},
-                  run={"duration": 0.06, "velocity_max": 4.0, "time_step": 2e-6})
-        )[0] for size in (1.0, 0.06)
-    )  # fmt: skip
-    assert np.all(large.particles["position"][:, 0] > 0.1)
-    assert np.ptp(large.particles["velocity"][:, 2]) > 0.1
+            build_scene(
+                {"pair": pair, "outgoing": OUTGOING},
+                domain={"min": [-size] * 3, "max": [size] * 3, "on_exit": "expand"},
+                run={"duration": 0.06, "velocity_max": 4.0, "time_step": 2e-6},
+            )
+        )[0]
+        for size in (1.0, 0.1)
+    )
+    assert small.totals["deleted_count"] == 0.0
+    expected = 0.05 * DIRECTIONS + [0, 0, 0.03] + 2.0 * small.time * DIRECTIONS
+    np.testing.assert_allclose(small.particles["position"][2:], expected, rtol=1e-12, atol=1e-15)
+    assert np.all(large.particles["position"][:2, 0] > 0.1)
+    assert np.ptp(large.particles["velocity"][:2, 2]) > 0.1
     np.testing.assert_array_equal(small.particles["velocity"], large.particles["velocity"])
-
-
-def test_distant_particles_do_not_enlarge_the_cells(taichi_f64):
-    """Particles a kilometer away lie outside the grid; their candidate pairs are found as for all others."""
-    rng = np.random.default_rng(7)
-    bulk = rng.uniform(0.0, 0.1, (600, 3))
-    distant = np.array(
-        [[1000.0, 0.0, 0.0], [1000.008, 0.0, 0.0], [-300.0, 5.0, 2000.0], [-300.0, 5.009, 2000.0]]
-    )
-    scene = build_scene(
-        {"balls": particle_group(np.concatenate([bulk, distant]), 0.01)}, numerics={"skin": 0.001, "chunk_size": 64},
-        domain={"min": [0.0] * 3, "max": [0.1] * 3, "on_exit": "expand"},
-    )  # fmt: skip
-    simulation = prepared_simulation(scene)
-    assert simulation.engine.state.cell_sort.cell_side[0].to_numpy() == pytest.approx(
-        np.full(3, 0.011), rel=1e-5
-    )
-    near = cKDTree(np.concatenate([bulk, distant])).query_pairs(0.011)
-    assert {(600, 601), (602, 603)} <= near
-    assert_lists_hold(simulation, near)
-    simulation.free()
-
-
-@pytest.mark.parametrize("periodic", [pytest.param([], marks=pytest.mark.slow), ["x", "y", "z"]])
-def test_size_classes_find_all_candidate_pairs(taichi_f64, periodic):
-    """Sizes 1 : 20 in four classes; pairs are owned, and listed twice across chunks, as with one class."""
-    rng = np.random.default_rng(9)
-    size = 0.1
-    skin = 0.0003
-    diameter = 0.0015 * 20.0 ** np.concatenate([rng.random(800) ** 3, [0.0, 1.0]])
-    positions = rng.uniform(0.0, size, (len(diameter), 3))
-    domain = {"min": [0.0] * 3, "max": [size] * 3, "periodic": periodic, "on_exit": "error"}
-    scene = build_scene(
-        {"balls": particle_group(positions, diameter)},
-        numerics={"chunk_size": 64, "skin": skin},
-        domain=domain,
-    )
-    simulation = prepared_simulation(scene)
-    assert simulation.plan.features.size_classes == "4"
-    distance = positions[:, None] - positions
-    distance -= np.round(distance / size) * size if periodic else 0.0
-    near = np.linalg.norm(distance, axis=2) < 0.5 * (diameter[:, None] + diameter) + skin
-    pairs = [(i, j) for i, j in np.argwhere(near).tolist() if i < j]
-    assert len(pairs) > 200
-    assert_lists_hold(simulation, pairs)
-    simulation.free()
-
-
-def test_inserted_particle_has_no_contacts_of_a_deleted_one(taichi_f64):
-    """A new particle that takes the array entry of a deleted one finds its neighbor list; it has no
-    contacts."""
-    positions = 0.0098 * np.argwhere(np.ones((2, 2, 2)))
-    simulation = prepared_simulation(
-        build_scene({"balls": particle_group(positions)}, numerics={"chunk_size": 1})
-    )
-    state = simulation.engine.state
-    histories = HistoryTable(state)
-    assert histories.read(np.arange(8), 8).count.tolist() == [3] * 8
-    new = {
-        name: values[-1:]
-        for name, values in copy_to_host(state, ("id", "position", "radius", "mass")).items()
-    }
-    state.count = 7
-    append_particles(state, new)
-    assert histories.listed(np.arange(8), 8).count[-1] == 0
-    simulation.free()

@@ -5,7 +5,6 @@ import pytest
 from clumps import clump_group
 from engine.test_deformation import STIFFNESS, deformed, lattice, of_axes
 from engine.test_stability_monitor import warnings_of
-from engine.test_travel import messages_about_the_limit
 from engine.test_wall_dynamics import PRESSURE, compression_scene
 from scene_builders import build_scene, particle_group
 from subprocess_runner import in_subprocess
@@ -13,6 +12,26 @@ from subprocess_runner import in_subprocess
 from granflow.engine import backend
 from granflow.errors import RunError
 from granflow.simulation import Simulation
+
+
+def abort_message(scene, velocity=None):
+    """Message of the abort, or an empty string; a velocity is set after planning, which does not refuse it."""
+    with Simulation(scene) as simulation:
+        if velocity is not None:
+            simulation.particles.velocity[:] = velocity
+        try:
+            simulation.run()
+        except RunError as error:
+            return str(error)
+    return ""
+
+
+def messages_about_the_limit(precision, chunk_size):
+    """Messages just below and just above the limit of a fifth of the radius per step, 100 m/s."""
+    group = particle_group([[0.03 * (k % 9) - 0.12, 0.03 * (k // 9) - 0.12, 0.5] for k in range(80)])
+    run = {"duration": 2.4e-3, "velocity_max": 1.0, "time_step": 1e-5, "precision": precision}
+    scene = build_scene({"fast": group}, run=run, numerics={"skin": 0.003, "chunk_size": chunk_size})
+    return [abort_message(scene, [0.0, 0.0, -speed]) for speed in (99.9, 100.1)]
 
 
 def drifting_rod():
@@ -56,7 +75,7 @@ def pressures_of_a_box(precision):
 
 
 def mixed_precision():
-    found = messages_about_the_limit("mixed", 80), kinds_of_warnings_at_rest("mixed")
+    found = messages_about_the_limit("mixed", 16), kinds_of_warnings_at_rest("mixed")
     return *found, drifting_rod(), pressure_of_a_servo(), pressures_of_a_box("mixed")
 
 
@@ -78,16 +97,8 @@ def flight(height):
     """
     ball = particle_group([[0.0, 0.0, height]], velocity=[0.0, 0.0, 400.0])
     domain = {"min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, height + 0.1], "on_exit": "expand"}
-    parts = {
-        "run": {"duration": 0.01, "time_step": 2e-6, "precision": "f32"},
-        "numerics": {"chunk_size": 16},
-    }
-    try:
-        with Simulation(build_scene({"ball": ball}, domain=domain, **parts)) as simulation:
-            simulation.run()
-    except RunError as error:
-        return str(error)
-    return ""
+    run = {"duration": 0.01, "time_step": 2e-6, "precision": "f32"}
+    return abort_message(build_scene({"ball": ball}, domain=domain, run=run, numerics={"chunk_size": 16}))
 
 
 def single_precision_and_gpu_code_path():

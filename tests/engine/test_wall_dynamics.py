@@ -1,7 +1,6 @@
 """Force-controlled walls: a free piston against its equation of motion, and a servo wall that holds a
 pressure."""
 
-import hashlib
 import re
 
 import numpy as np
@@ -10,7 +9,6 @@ from scene_builders import SOFT, box, build_scene, column, particle_group, plane
 from scipy.integrate import solve_ivp
 
 from granflow.contact import theory
-from granflow.engine import threads as workers
 from granflow.errors import RunError, SceneError
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
@@ -62,25 +60,19 @@ def balls_below(servo=None, piston=None, positions=((0.0, 0.0, RADIUS),), **part
     )
 
 
-def falling_piston(mass=0.01, damping=0.0, force=0.02, **parts):
-    """A particle that touches the floor without overlap, and a free piston at rest 1 mm above it."""
-    piston = lid(2.0 * RADIUS + 1e-3, free(mass, force=force, damping=damping))
-    return balls_below(piston=piston, numerics={"time_step_fraction": 0.01}, **parts)
-
-
-@pytest.mark.parametrize("damping", [0.0, 0.5])
-def test_free_piston_bounces_on_a_particle(taichi_f64, damping):
-    """Two masses on two Hertz contacts, compared with scipy; work and energy of the piston balance.
+def test_free_piston_bounces_on_a_particle(taichi_f64):
+    """A particle touches the floor without overlap; the piston starts 1 mm above it: two masses on two Hertz contacts, compared with scipy; work and energy of the piston balance.
 
     M x'' = k (R - x + z)^1.5 - M g + F - c x',    m z'' = k (R - z)^1.5 - k (R - x + z)^1.5 - m g
     """
-    mass = 0.01
-    snapshots = run_and_sample(falling_piston(mass, damping), 0.0005)
+    mass, force, damping = 0.01, 0.02, 0.5
+    piston = lid(2.0 * RADIUS + 1e-3, free(mass, force=force, damping=damping))
+    snapshots = run_and_sample(balls_below(piston=piston, numerics={"time_step_fraction": 0.01}), 0.0005)
 
     def rates(_, now):
         z, x, w, v = now
         below, above = (AT_WALL * max(RADIUS - gap, 0.0) ** 1.5 for gap in (z, x - z))
-        return [w, v, (below - above) / MASS - GRAVITY, (above + 0.02 - damping * v) / mass - GRAVITY]
+        return [w, v, (below - above) / MASS - GRAVITY, (above + force - damping * v) / mass - GRAVITY]
 
     start = [RADIUS, 2.0 * RADIUS + 1e-3, 0.0, 0.0]
     exact = solve_ivp(
@@ -100,53 +92,6 @@ def test_free_piston_bounces_on_a_particle(taichi_f64, damping):
     assert work_done == pytest.approx(last["free_wall_energy"], rel=1e-9, abs=1e-14)
     assert snapshots[-1].impulses["piston"][7] == last["wall_work"], "the piston alone moves against a force"
     assert abs(last["energy_error"]) < 1e-3
-
-
-def test_floor_carries_the_weight_of_a_free_piston_at_rest(taichi_f64):
-    """One particle between floor and piston, at static overlaps: nothing moves, and the floor carries both
-    weights."""
-    mass = 0.05
-    above = mass * GRAVITY
-    below = (mass + MASS) * GRAVITY
-    particle_height = RADIUS - (below / AT_WALL) ** (2.0 / 3.0)
-    piston_height = particle_height + RADIUS - (above / AT_WALL) ** (2.0 / 3.0)
-    piston = lid(piston_height, free(mass))
-    scene = balls_below(
-        piston=piston, positions=[[0.0, 0.0, particle_height]], run={"duration": 0.01, "velocity_max": 0.5}
-    )
-    simulation = Simulation(scene)
-    result = simulation.run().numbers
-    simulation.free()
-    assert result["wall_force_z.floor"] == pytest.approx(-below, rel=1e-9)
-    assert result["wall_force_z.piston"] == pytest.approx(above, rel=1e-9)
-    assert abs(result["wall_displacement.piston"]) < 1e-12
-
-
-@pytest.mark.slow
-def test_displacement_of_a_free_wall_contains_its_prescribed_motions(taichi_f64):
-    """Free fall upwards: x(t) = v t + F / (2 M) t^2 along z, while the wall turns about z and moves along x
-    and z.
-
-    The leapfrog scheme is exact for a constant acceleration.
-    """
-    mass = 0.5
-    force = 0.2
-    rate = 0.03
-    end = 0.02
-    motions = [
-        {"kind": "rotation", "point": [0.5, 0, 0], "axis": [0, 0, 1], "angular_velocity": 2.0},
-        {"kind": "translation", "velocity": [0.1, 0, rate]},
-        free(mass, force=force),
-    ]
-    run = {"duration": end, "velocity_max": 0.5}
-    with Simulation(balls_below(piston=lid(0.02, motions), gravity=[0.0] * 3, run=run)) as simulation:
-        result = simulation.run().numbers
-        time = simulation.time
-        pose = simulation.walls["piston"].pose
-    expected = rate * time + 0.5 * force / mass * time**2
-    assert result["wall_displacement.piston"] == pytest.approx(expected, rel=1e-9)
-    assert result["wall_displacement.piston"] == pytest.approx(pose.offset[2], rel=1e-12)
-    assert result["wall_velocity.piston"] == pytest.approx(rate + force / mass * time, rel=1e-9)
 
 
 PRESSURE, SIDE = 2e4, 0.041
@@ -178,25 +123,11 @@ def compression_scene(duration=0.03, **parts):
     )
 
 
-def wall_results(precision, threads=1, until=None, in_parallel=False):
-    """Mean pressure on the lid and force on the side wall in the last stage, and a digest of the final
-    state."""
-    if in_parallel:
-        workers.SINGLE_WORKER_PARTICLES = 0
-    simulation = Simulation(compression_scene(), threads=threads, precision=precision)
-    result = simulation.run(until).numbers
-    last = simulation.snapshot()
-    simulation.free()
-    digest = hashlib.sha256(last.particles["position"].tobytes())
-    for name in ("lid", "side"):
-        digest.update(last.walls[name].offset.tobytes() + last.impulses[name].tobytes())
-    return [result["wall_pressure.lid"], result["wall_force_x.side"], digest.hexdigest()]
-
-
 def test_servo_wall_holds_its_pressure_and_free_wall_its_force(taichi_f64):
-    pressure, force, _ = wall_results("f64", 2)
-    assert pressure == pytest.approx(PRESSURE, rel=0.01)
-    assert force == pytest.approx(10.0, rel=0.01)
+    with Simulation(compression_scene(), threads=2) as simulation:
+        result = simulation.run().numbers
+    assert result["wall_pressure.lid"] == pytest.approx(PRESSURE, rel=0.01)
+    assert result["wall_force_x.side"] == pytest.approx(10.0, rel=0.01)
 
 
 SERVO = {"kind": "servo", "direction": [0, 0, -1], "force": 1.6, "velocity_max": 0.2}
@@ -213,39 +144,25 @@ def loaded_ball(restitution, fraction, normal="hertz", **walls):
 
 def largest_response(plan):
     """Largest stiffness [N/m] and viscosity [N s/m] of the contacts of a plan."""
-    cases = [
-        (*case.dashpot_arguments, plan.impact_velocity.value, plan.time_step) for case in plan.pair_cases
+    step = plan.impact_velocity.value, plan.time_step
+    responses = [
+        plan.laws.normal.present_response(*case.dashpot_arguments, *step) for case in plan.pair_cases
     ]
-    return [
-        max(each) for each in zip(*(plan.laws.normal.present_response(*case) for case in cases), strict=True)
-    ]
+    return np.max(responses, axis=0)
 
 
-@pytest.mark.parametrize(
-    ("normal", "restitution"), [("hertz", 0.1), pytest.param("zhou", 0.2, marks=pytest.mark.slow)]
-)
-def test_servo_comes_to_rest_on_a_contact_with_dashpot_or_stiff_unloading(taichi_f64, normal, restitution):
-    """Force 1.6 N at an elastic contact: F = k d^1.5; a plastic one has been compressed further by the
-    approach."""
-    with Simulation(loaded_ball(restitution, 0.03, normal)) as simulation:
+def test_servo_comes_to_rest_on_a_contact_with_a_dashpot(taichi_f64):
+    """Force 1.6 N at an elastic contact: F = k d^1.5."""
+    with Simulation(loaded_ball(0.1, 0.03)) as simulation:
         simulation.run()
         last = simulation.snapshot(contacts=True)
     assert abs(last.totals["wall_velocity.lid"]) < 1e-9
     assert last.contacts["normal_force"] == pytest.approx(1.6, rel=1e-6)
-    elastic = (1.6 / AT_WALL) ** (2.0 / 3.0)
-    largest = last.contacts["overlap"].max()
-    assert largest > elastic if normal == "zhou" else largest == pytest.approx(elastic, rel=1e-6)
+    assert last.contacts["overlap"].max() == pytest.approx((1.6 / AT_WALL) ** (2.0 / 3.0), rel=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("normal", "restitution", "fraction"),
-    [
-        ("hertz", 0.9, 0.05),
-        ("hertz", 0.05, 0.05),
-        ("hertz", 0.05, 0.01),
-        ("zhou", 0.0, 0.05),
-        ("zhou", 0.1, 0.02),
-    ],
+    ("normal", "restitution", "fraction"), [("hertz", 0.05, 0.05), ("hertz", 0.9, 0.05), ("zhou", 0.0, 0.05)]
 )
 def test_lag_of_a_servo_makes_it_stable_on_all_contacts_of_the_layer(normal, restitution, fraction):
     """Roots of the recursion of its displacement on n contacts of stiffness K and viscosity C.
@@ -278,25 +195,20 @@ def test_least_mass_of_a_free_wall_is_twice_that_of_stability_on_dashpots():
 
 def test_free_wall_too_fast_for_the_step_aborts_the_run(taichi_f64):
     """A force F moves a wall of mass M from rest by F/M dt^2 (k - 1/2) in step k; the limit is 0.2 R."""
-    mass, step, steps = 1.0, 1e-5, 40
-    for share, message in (
-        (0.999, ""),
-        (1.001, r"piston \(glass, 100 m/s\) .* moves 0.001 m in one step of"),
-    ):
-        force = share * 0.2 * RADIUS * mass / (step**2 * (steps - 0.5))
-        piston = lid(0.5, free(mass, force=force))
-        run = {"duration": 1.0, "velocity_max": 1.0, "time_step": step}
-        simulation = Simulation(
-            balls_below(piston=piston, run=run, gravity=[0.0] * 3, numerics={"skin": 0.003})
-        )
-        if message:
-            with pytest.raises(
-                RunError, match=message + " .* above the limit .* Increase its mass or damping"
-            ):
+    step, steps = 1e-5, 40
+    run = {"duration": 1.0, "velocity_max": 1.0, "time_step": step}
+    for share in (0.999, 1.001):
+        piston = lid(0.5, free(1.0, force=share * 0.2 * RADIUS / (step**2 * (steps - 0.5))))
+        scene = balls_below(piston=piston, run=run, gravity=[0.0] * 3, numerics={"skin": 0.003})
+        with Simulation(scene) as simulation:
+            if share > 1.0:
+                message = (
+                    r"piston \(glass, 100 m/s\) .* moves 0.001 m in .* limit .* Increase its mass or damping"
+                )
+                with pytest.raises(RunError, match=message):
+                    simulation.run(until=steps * step)
+            else:
                 simulation.run(until=steps * step)
-        else:
-            simulation.run(until=steps * step)
-        simulation.free()
 
 
 def test_servo_gain_unstable_for_the_step_is_rejected():

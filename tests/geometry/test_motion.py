@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from geometry.motions import oscillation, rotation, surface_velocity, table, translation, vibration
+from geometry.motions import oscillation, rotation, table, translation, vibration
 
 import granflow as gf
 from granflow.geometry.motion import MotionTable
@@ -101,17 +101,6 @@ DOMAIN = gf.Domain(min=[0.0, 0.0, 0.0], max=[1.0, 0.5, 0.2], on_exit="delete")
 EXPANDING = DOMAIN.model_copy(update={"on_exit": "expand"})
 
 
-def test_speeds_of_chains_are_bounded():
-    """No point of a surface is faster than the bound, which of a planetary pot is at most twice its speed."""
-    pot = cylinder((0.1, 0.0, 0.0), (0.1, 0.0, 0.05), 0.03)
-    mill = [rotation((0, 0, 0), (0, 0, 1), 30.0), rotation((0.1, 0, 0), (0, 0, 1), -75.0)]
-    plate = rectangle((0.2, 0.1, 0.0), (0.3, 0.0, 0.0), (0.0, 0.2, 0.1))
-    for surface, motions, slack in ((pot, mill, 2.0), (plate, CHAIN, np.inf), (plate, CHAIN[::-1], np.inf)):
-        points, _ = surface.triangles(np.zeros(3), 1.0)
-        fastest = np.linalg.norm(moved(points, motions, np.linspace(0.0, 1.0, 500))[1], axis=2).max()
-        assert fastest <= geometry_speed(surface, motions, EXPANDING, 1.0) <= slack * fastest
-
-
 def test_speed_of_a_plate_is_that_of_its_farthest_point_in_the_domain():
     """w R: R is the distance of the farthest corner of the plate from the axis z through P, or that of the
     domain from the axis if this is smaller; rotation leaves a drum and a ball on the axis unchanged."""
@@ -170,18 +159,6 @@ def test_a_motion_pauses_in_the_stages_between_its_stages():
     np.testing.assert_allclose(poses_at([shaken.at(second)], 0.4 + times).offset, expected, atol=1e-16)
     without_pause = shaken.at({"first": (0.0, 0.3), "second": (0.3, np.inf)})
     np.testing.assert_array_equal(poses_at([without_pause], times).offset, expected)
-
-
-def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
-    ramp = {"initial_velocity": (0.0, 1.0, 0.0), "ramp_duration": 1.0}
-    surface = surface_velocity((0.0, 3.0, 0.0), start=0.5, **ramp)
-    turning = rotation((1, 0, 0), (0, 0, 1), pi / 2)
-    times = np.array([0.4, 1.0, 2.0])
-    found, alone = (poses_at(motions, times) for motions in ([turning, surface], [turning]))
-    np.testing.assert_allclose(found.surface_velocity, [[0, 0, 0], [-2, 0, 0], [0, -3, 0]], atol=1e-15)
-    for name in ("offset", "rotation", "velocity", "angular_velocity", "pivot"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
-    assert surface.top_speed(1.0) == 0.0
 
 
 TIMES, VALUES = (0.0, 0.2, 0.5, 0.6, 1.0), (0.3, 0.4, 0.4, 1.0, 0.1)

@@ -31,20 +31,14 @@ COLLISIONS = {"collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14}}
 RUN = {"velocity_max": 2.0, "time_step": 4e-6}
 
 
-def falling_lattice(particles=None, **changes):
-    """A lattice of 256 particles falls into a vibrating box: friction, rolling friction, a moving wall,
-    rebuilds."""
-    lattice = moving_lattice((8, 8, 4), largest=0.006, speed=0.3)
-    return build_scene(
-        {"lattice": lattice} | (particles or {}), walls=vibrating_box(0.06), rolling="epsd", gravity=[0.0, 0.0, -9.81],
-        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1}, **changes,
-    )  # fmt: skip
-
-
 def shaken_box(duration=0.003):
-    """Friction, rolling friction, a moving wall, rebuilds, the energy budget."""
+    """A lattice of 256 particles falls into a vibrating box: friction, rolling friction, rebuilds, all outputs."""
     output = {"interval": 1.0, "energy_budget": True, "wall_forces": True} | COLLISIONS
-    return falling_lattice(run={"duration": duration, **RUN}, output=output, **GPU_CHUNKS)
+    return build_scene(
+        {"lattice": moving_lattice((8, 8, 4), largest=0.006, speed=0.3)}, walls=vibrating_box(0.06), rolling="epsd",
+        gravity=[0.0, 0.0, -9.81], pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1},
+        run={"duration": duration, **RUN}, output=output, **GPU_CHUNKS,
+    )  # fmt: skip
 
 
 def periodic_gas(**contact):
@@ -71,11 +65,6 @@ def cohesive():
         contact={"normal": "hertz", "tangential": "mindlin", "rolling": "cdt", "cohesion": "sjkr"},
         pair={"friction": 0.3, "restitution": 0.7, "rolling_friction": 0.1, "cohesion_energy_density": 3e4},
     )
-
-
-def sheared():
-    """A Lees-Edwards box with two sizes."""
-    return sheared_gas(duration=0.001, sizes=(0.005, 0.0065), chunk_size=1)
 
 
 def mesh_floor(folder):
@@ -110,26 +99,24 @@ def size_classes():
     )  # fmt: skip
 
 
-def inlet_and_outlets():
-    """Particles come in and go out."""
-    run = {"duration": 0.04, "velocity_max": 3.0, "time_step": 1e-5}
-    return chute(run=run, output={"interval": 1.0, "energy_budget": True}, **GPU_CHUNKS)
-
-
-def compressed(**parts):
+def compressed():
     """A servo wall, whose pressure refers to the section between three walls at rest and a free wall."""
-    scene = compression_scene(0.004, **GPU_CHUNKS, **parts).to_dict()
+    scene = compression_scene(0.004, **GPU_CHUNKS).to_dict()
     scene["walls"]["lid"]["motion"][0]["between"] = ["low_x", "side", "low_y", "high_y"]
     return Scene.from_dict(scene)
 
 
+FLOWING = {
+    "run": {"duration": 0.04, "velocity_max": 3.0, "time_step": 1e-5},
+    "output": {"interval": 1.0, "energy_budget": True},
+}
 SCENES = {
     "shaken box": lambda folder: shaken_box(),
     "periodic": lambda folder: periodic_gas(),
-    "sheared": lambda folder: sheared(),
+    "sheared": lambda folder: sheared_gas(duration=0.001, sizes=(0.005, 0.0065), chunk_size=1),
     "mesh": mesh_floor,
     "servo and free wall": lambda folder: compressed(),
-    "inlet and outlets": lambda folder: inlet_and_outlets(),
+    "inlet and outlets": lambda folder: chute(**FLOWING, **GPU_CHUNKS),
     "size classes": lambda folder: size_classes(),
     "cohesion": lambda folder: cohesive(),
     **{f"law {law}": (lambda folder, law=law: with_law(law)) for law in LAWS},
