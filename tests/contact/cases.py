@@ -45,14 +45,13 @@ class Units:
 
 def in_units(options, units):
     """Options of a model or pair, with their numbers in other units."""
-    return {
-        key: in_units(value, units)
-        if isinstance(value, dict)
-        else value * units.of(key)
-        if isinstance(value, float)
-        else value
-        for key, value in options.items()
-    }
+
+    def scaled(key, value):
+        if isinstance(value, dict):
+            return in_units(value, units)
+        return value * units.of(key) if isinstance(value, float) else value
+
+    return {key: scaled(key, value) for key, value in options.items()}
 
 
 SI = Units()

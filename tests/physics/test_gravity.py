@@ -1,9 +1,12 @@
-"""Free flight under gravity that turns, follows a table or jumps in a stage."""
+"""Free flight under gravity that turns, follows a table or jumps in a stage, and in float32."""
 
 import numpy as np
 import pytest
 from clumps import clump_group
 from scene_builders import build_scene, particle_group, run_and_sample
+from subprocess_runner import in_subprocess
+
+from granflow import Simulation
 
 RATE = 100.0
 STEP = 2e-5
@@ -76,3 +79,19 @@ def test_free_flight_under_changing_gravity():
         assert totals["kinetic_energy"] == pytest.approx(dropped + totals["gravity_work"], rel=1e-6)
         assert abs(totals["energy_error"]) < 1e-6  # of the rotation of the clump
         assert totals["free_wall_energy"] == pytest.approx(totals["free_wall_work"], rel=1e-6, abs=1e-12)
+
+
+def fast_fall(precision):
+    """Change of the velocity [m/s] of a ball that falls at 8 m/s, in 40 000 steps of 50 ns."""
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.5]], velocity=[0.0, 0.0, -8.0])}, gravity=[0.0, 0.0, -STRENGTH],
+        run={"duration": 2e-3, "time_step": 5e-8, "velocity_max": 9.0},
+    )  # fmt: skip
+    simulation = Simulation(scene, precision=precision)
+    simulation.run()
+    return float(simulation.snapshot().particles["velocity"][0, 2]) + 8.0
+
+
+def test_gravity_changes_a_fast_velocity_in_float32():
+    """g dt is half of the spacing of float32 at 8 m/s, 9.5e-7 m/s, to which the result is rounded."""
+    assert in_subprocess(fast_fall, "mixed") == pytest.approx(-STRENGTH * 2e-3, abs=9.6e-7)

@@ -7,7 +7,7 @@ plane, because all surfaces lie in the plane z = 0.
 
 import numpy as np
 import pytest
-from geometry.meshes import write
+from geometry.meshes import cube, sheet, write
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample
 
 RADIUS = 2e-3
@@ -48,16 +48,14 @@ def disc(center, radius, hole_radius=0.0):
 
 def brick(low, high):
     """Points and triangles of a closed box."""
-    low, high = np.array(low, float), np.array(high, float)
-    points = low + (high - low) * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    return points, np.array([[a, b, c] for q in quads for a, b, c in (q[:3], [q[0], q[2], q[3]])])
+    points, corners = cube()
+    return np.array(low) + (np.array(high, float) - low) * points, corners
 
 
 def flat(low, high):
     """Points and triangles of a rectangle in the plane z = 0."""
-    points = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
-    return points, np.array([[0, 2, 3], [0, 3, 1]])
+    points, corners = sheet(1)
+    return [*low, 0.0] + (points + [0.5, 0.5, 0.0]) * [high[0] - low[0], high[1] - low[1], 1.0], corners
 
 
 def together(*surfaces):

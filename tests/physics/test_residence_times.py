@@ -1,44 +1,10 @@
-"""Free fall, and the residence times of a uniform motion."""
+"""Residence times and passages of flow meters in a uniform motion."""
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, column, few_spheres, particle_group, run_and_sample, times
-from subprocess_runner import in_subprocess
+from scene_builders import few_spheres
 
 import granflow as gf
-
-GRAVITY = 9.81
-
-
-def test_free_fall_is_exact(taichi_f64):
-    """Leapfrog integrates a constant acceleration exactly, within the rounding error of 4000 steps."""
-    ball = particle_group([[0.1, -0.2, 0.5]], velocity=[1.0, 0.3, 2.0])
-    run = {"duration": 0.2, "time_step": 5e-5, "velocity_max": 4.0}
-    snapshots = run_and_sample(few_spheres({"ball": ball}, gravity=[0.5, 0.0, -GRAVITY], run=run), 0.05)
-    t = times(snapshots)[:, None]
-    acceleration = np.array([0.5, 0.0, -GRAVITY])
-    position = [0.1, -0.2, 0.5] + t * [1.0, 0.3, 2.0] + 0.5 * t**2 * acceleration
-    rounding = 4000 * np.finfo(float).eps
-    np.testing.assert_allclose(column(snapshots, "position")[:, 0], position, rtol=0, atol=rounding)
-    np.testing.assert_allclose(
-        column(snapshots, "velocity")[:, 0], [1.0, 0.3, 2.0] + t * acceleration, rtol=0, atol=4 * rounding
-    )
-
-
-def fast_fall(precision):
-    """Change of the velocity [m/s] of a ball that falls at 8 m/s, in 40 000 steps of 50 ns."""
-    scene = build_scene(
-        {"ball": particle_group([[0.0, 0.0, 0.5]], velocity=[0.0, 0.0, -8.0])}, gravity=[0.0, 0.0, -GRAVITY],
-        run={"duration": 2e-3, "time_step": 5e-8, "velocity_max": 9.0},
-    )  # fmt: skip
-    simulation = gf.Simulation(scene, precision=precision)
-    simulation.run()
-    return float(simulation.snapshot().particles["velocity"][0, 2]) + 8.0
-
-
-def test_gravity_changes_a_fast_velocity_in_float32():
-    """g dt is half of the spacing of float32 at 8 m/s, 9.5e-7 m/s, to which the result is rounded."""
-    assert in_subprocess(fast_fall, "mixed") == pytest.approx(-GRAVITY * 2e-3, abs=9.6e-7)
 
 
 def test_residence_times_of_a_uniform_motion(taichi_f64, tmp_path):
