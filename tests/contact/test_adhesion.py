@@ -14,7 +14,17 @@ from contact.bonds import (
     law_of,
     pair_with,
 )
-from scene_builders import build_scene, particle_group, plane, run_to_end
+from scene_builders import (
+    SOFT,
+    build_scene,
+    column,
+    few_spheres,
+    particle_group,
+    plane,
+    run_and_sample,
+    run_to_end,
+    times,
+)
 from scipy.integrate import quad
 
 from granflow.contact.material import modulus_eff
@@ -240,3 +250,29 @@ def test_van_der_waals_attraction_is_conservative_on_a_contact_without_history(t
     energy = hamaker * radius / 6.0 * (1.0 / separation - 1.0 / cutoff)
     assert fastest == pytest.approx(math.sqrt(speed**2 + 2.0 * energy / mass), rel=2e-3)
     assert velocity == pytest.approx(speed, rel=1e-3)
+
+
+def test_cohesion_increases_the_friction_limit(taichi_f64):
+    """A particle slides on a wall with cohesion as the only normal load: friction is mu times the repulsion.
+
+    At k d^1.5 = 2 pi w R d repulsion and attraction balance; a limit of mu times the total force would be 0.
+    """
+    radius, friction, cohesion, speed = 0.005, 0.3, 1e6, 0.5
+    modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
+    attraction = 2.0 * np.pi * cohesion * radius
+    overlap = (attraction / (4.0 / 3.0 * modulus * np.sqrt(radius))) ** 2
+    sphere = particle_group([0.0, 0.0, radius - overlap], 2.0 * radius, velocity=[[speed, 0.0, 0.0]])
+    pair = {"restitution": 1.0, "friction": friction, "cohesion_energy_density": cohesion}
+    scene = few_spheres(
+        {"sphere": sphere}, {"floor": plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])}, pair=pair, pairs={"fixed-fixed": pair},
+        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": "sjkr"},
+        run={"duration": 3e-4, "time_step": 1e-6, "velocity_max": speed},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 1e-5)
+    velocity = column(snapshots, "velocity")[:, 0]
+    time = times(snapshots)
+    mass = 4.0 / 3.0 * np.pi * radius**3 * SOFT["density"]
+    late = time > 1e-4
+    deceleration = -np.polyfit(time[late], velocity[late, 0], 1)[0]
+    assert deceleration == pytest.approx(friction * attraction * overlap / mass, rel=2e-3)
+    assert np.abs(velocity[:, 2]).max() < 1e-3 * speed

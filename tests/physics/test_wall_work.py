@@ -10,6 +10,7 @@ from granflow import Simulation
 
 RADIUS, OVERLAP, PERIOD = 5e-3, 2e-5, 2e-3
 GRAVITY = 9.81
+OUTPUT = {"interval": 1.0, "energy_budget": True, "wall_forces": True}
 MASS = 4.0 / 3.0 * np.pi * RADIUS**3 * 2500.0
 MOTIONS = {
     "vibration": {"direction": [0, 0, 1], "amplitude": OVERLAP, "frequency": 1.0 / PERIOD},
@@ -27,7 +28,7 @@ def error(motion, steps, periods=2):
     top = plane([0, 0, 2 * RADIUS - 2 * OVERLAP], [0, 0, -1], motion=moved)
     scene = few_spheres(
         {"ball": particle}, {"floor": plane([0, 0, 0], [0, 0, 1]), "top": top}, {"restitution": 1.0},
-        run={"duration": 1.0, "time_step": PERIOD / steps, "velocity_max": 0.5},
+        run={"duration": 1.0, "time_step": PERIOD / steps, "velocity_max": 0.5}, output=OUTPUT,
     )  # fmt: skip
     peak, largest = 0.0, 0.0
     with Simulation(scene) as simulation:
@@ -68,7 +69,7 @@ def test_a_vibrating_plate_lifts_a_sphere(tmp_path, taichi_f64):
         {"ball": ball}, {"plate": plane([0, 0, 0], [0, 0, 1], motion=motion)}, {"restitution": 0.8},
         materials={"glass": stiff}, gravity=[0.0, 0.0, -GRAVITY],
         run={"duration": 0.5 * period, "velocity_max": 0.1},
-        output={"interval": 1.0, "energy_budget": True, "wall_forces": True, "timeseries_interval": 0.25 * period},
+        output=OUTPUT | {"timeseries_interval": 0.25 * period},
     )  # fmt: skip
     with Simulation(scene, out=tmp_path / "out") as simulation:
         result = simulation.run().numbers
