@@ -18,12 +18,13 @@ from granflow.observers.coarse_graining import accumulate, of_bodies
 from granflow.particles.insertion import initial_particles
 from granflow.simulation import Simulation
 
+NUMERICS = {"chunk_size": 16, "max_overlap": 0.2}
 FRICTION = {"friction": 0.4, "restitution": 0.4}
 OUT = {"out": {"box": {"min": [-1.0, -1.0, -1.0], "max": [1.0, 1.0, -0.1]}}}
 TRIANGLE = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.8e-3, 1.8e-3, 0.0]]
 
 
-def falling_clumps(duration=0.03, **changes):
+def falling_clumps():
     """32 clumps of two kinds, 9 spheres and rain of clumps in a box: friction, rebuilds, several chunks."""
     rng = np.random.default_rng(8)
     sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
@@ -36,27 +37,23 @@ def falling_clumps(duration=0.03, **changes):
         "material": "steel", "count": 12, "clump": others["clump"], "velocity": [0.0, 0.0, -0.5],
         "insert": {"kind": "rain", "region": region, "rate": 1500.0},
     }  # fmt: skip
-    parts = {
-        "pair": FRICTION, "outlets": OUT, "gravity": [0.0, 0.0, -100.0], "numerics": {"chunk_size": 16, "max_overlap": 0.2},
-        "run": {"duration": duration, "velocity_max": 4.0, "time_step": 4e-6},
-        "output": {"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.002, "keep": 100}},
-    }  # fmt: skip
     return build_scene(
-        {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), **(parts | changes)
-    )
+        {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), pair=FRICTION, outlets=OUT,
+        gravity=[0.0, 0.0, -100.0], numerics=NUMERICS, output={"interval": 0.004, "energy_budget": True},
+        run={"duration": 0.04, "velocity_max": 4.0, "time_step": 4e-6},
+    )  # fmt: skip
 
 
-def small_scene(groups, floor=-0.9, **parts):
-    """A scene of the structure of `falling_clumps`: walls that meet, outlet, budget, friction, two
-    materials."""
-    walls = {"floor": plane([0, 0, floor], [0, 0, 1]), "side": plane([-0.9, 0, 0], [1, 0, 0])}
+def small_scene(groups, **parts):
+    """A scene of the structure of `falling_clumps`: walls that meet, outlet, budget, friction, two materials."""
+    walls = {"floor": plane([0, 0, -0.9], [0, 0, 1]), "side": plane([-0.9, 0, 0], [1, 0, 0])}
     parts = {"pair": FRICTION, "outlets": OUT, "output": {"interval": 1.0, "energy_budget": True}} | parts
-    return build_scene(groups, walls, numerics={"chunk_size": 16, "max_overlap": 0.2}, **parts)
+    return build_scene(groups, walls, numerics=NUMERICS, **parts)
 
 
 def test_clumps_fall_as_rigid_bodies_and_their_energy_budget_closes(taichi_f64):
     """Distances within each clump are those of the given positions, although its spheres overlap by half."""
-    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, contacts=True, threads=2)
+    snapshots = run_and_sample(falling_clumps(), 0.004, contacts=True, threads=2)
     last = snapshots[-1]
     assert_fields_of_bodies(last, falling_clumps())
     particles = last.particles

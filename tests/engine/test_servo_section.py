@@ -88,6 +88,15 @@ def test_walls_that_enclose_no_section_are_refused(between, message):
         plan_for(changed(change))
 
 
+def test_direction_away_from_the_particles_is_reported():
+    def change(given, walls):
+        walls["high_x"]["motion"][0]["direction"] = [1.0, 0.0, 0.0]
+
+    warnings = [each.warning for each in plan_for(changed(change)).forecasts if each.warning]
+    (sentence,) = [each for each in warnings if "away from the particles" in each]
+    assert sentence.startswith("walls.high_x.motion") and sentence.endswith("[-1, 0, 0].")
+
+
 def test_a_program_cannot_remove_or_move_walls_around_a_section():
     plan = plan_for(servo_box())
     message = r"walls\['low_x'\] cannot be .*: it bounds the section of walls\.high_y"

@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from geometry.motions import oscillation, rotation, table, translation, vibration
+from geometry.motions import oscillation, rotation, surface_velocity, table, translation, vibration
 
 import granflow as gf
 from granflow.geometry.motion import MotionTable
@@ -159,6 +159,17 @@ def test_a_motion_pauses_in_the_stages_between_its_stages():
     np.testing.assert_allclose(poses_at([shaken.at(second)], 0.4 + times).offset, expected, atol=1e-16)
     without_pause = shaken.at({"first": (0.0, 0.3), "second": (0.3, np.inf)})
     np.testing.assert_array_equal(poses_at([without_pause], times).offset, expected)
+
+
+def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
+    ramp = {"initial_velocity": (0.0, 1.0, 0.0), "ramp_duration": 1.0}
+    surface = surface_velocity((0.0, 3.0, 0.0), start=0.5, **ramp)
+    turning = rotation((1, 0, 0), (0, 0, 1), pi / 2)
+    times = np.array([0.4, 1.0, 2.0])
+    found, alone = (poses_at(motions, times) for motions in ([turning, surface], [turning]))
+    np.testing.assert_allclose(found.surface_velocity, [[0, 0, 0], [-2, 0, 0], [0, -3, 0]], atol=1e-15)
+    np.testing.assert_array_equal(found.velocity, alone.velocity)
+    np.testing.assert_array_equal(found.offset, alone.offset)
 
 
 TIMES, VALUES = (0.0, 0.2, 0.5, 0.6, 1.0), (0.3, 0.4, 0.4, 1.0, 0.1)
