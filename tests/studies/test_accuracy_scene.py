@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from scene_builders import build_scene, plane
 
 from granflow.errors import GranflowError
 from granflow.particles.insertion import initial_particles
@@ -24,33 +25,18 @@ from granflow.studies.accuracy.scene import (
     write_scene,
 )
 
-DROP = """
-title: A few beads fall on a floor
-gravity: [0, 0, -9.81]
-materials:
-  glass: {young_modulus: 50 MPa, poisson_ratio: 0.2, density: 2500}
-pairs:
-  glass-glass: {restitution: 0.5, friction: 0.3}
-contact: {normal: zhou, tangential: mindlin, rolling: none}
-walls:
-  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}
-particles:
-  beads:
-    material: glass
-    count: 12
-    diameter: 10 mm
-    insert: {kind: pack, region: {box: {min: [-20 mm, -20 mm, 100 mm], max: [20 mm, 20 mm, 150 mm]}}}
-domain: {min: [-200 mm, -200 mm, -10 mm], max: [200 mm, 200 mm, 200 mm], on_exit: error}
-run: {duration: 0.25 s}
-output: {interval: 50 ms}
-"""
-
 
 @pytest.fixture
 def drop(tmp_path):
-    """Path of a file with the scene DROP."""
+    """Path of a scene in which a few beads fall onto a floor."""
+    region = {"box": {"min": [-0.02, -0.02, 0.1], "max": [0.02, 0.02, 0.15]}}
+    beads = {"material": "glass", "count": 12, "diameter": 0.01, "insert": {"kind": "pack", "region": region}}
+    scene = build_scene(
+        {"beads": beads}, walls={"floor": plane([0, 0, 0], [0, 0, 1])}, gravity=[0, 0, -9.81],
+        domain={"min": [-0.2, -0.2, -0.01], "max": [0.2] * 3, "on_exit": "error"}, run={"duration": 0.25},
+    )  # fmt: skip
     path = tmp_path / "drop.yaml"
-    path.write_text(DROP, encoding="utf-8")
+    path.write_text(scene.to_yaml(), encoding="utf-8")
     return path
 
 
@@ -125,7 +111,7 @@ def test_runs_of_a_study_that_was_stopped_are_kept(drop, tmp_path, monkeypatch):
     assert seconds == [1.01, 1.02, 1.03, 1.04, 1.05, 1.07, 1.08, 1.09, 1.1]
     study()
     assert len(ran) == 6 + 4
-    drop.write_text(DROP.replace("2500", "2600"))
+    drop.write_text(drop.read_text().replace("2500", "2600"))
     study()
     path.write_text(path.read_text()[:100])
     study()

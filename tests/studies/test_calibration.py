@@ -96,20 +96,15 @@ def test_trials_with_other_targets_or_another_content_of_a_scene_or_a_curve_are_
         runner(tmp_path, curve).check()
 
 
-def finished_trial(search, loss):
-    trial = search.next_trial()
-    trial.set_user_attr("residuals", {"energy": [loss]})
-    search.study.tell(trial, loss)
-    return trial
-
-
 def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path):
     """Earlier programs wrote the next operation behind half a line."""
     search = runner(tmp_path).search
-    finished_trial(search, 4.0)
     path = tmp_path / JOURNAL
-    middle = path.read_bytes()
-    finished_trial(search, 3.0)
+    for loss in (4.0, 3.0):
+        middle = path.read_bytes()
+        trial = search.next_trial()
+        trial.set_user_attr("residuals", {"energy": [loss]})
+        search.study.tell(trial, loss)
     path.write_bytes(middle + b'{"op_code":6,"wor' + path.read_bytes()[len(middle) :])
     assert [trial.value for trial in runner(tmp_path).search.completed()] == [4.0, 3.0]
 

@@ -76,13 +76,11 @@ def test_equivalent_table_formats_give_equal_data(tmp_path, text):
     np.testing.assert_array_equal(data.uncertainty, [1.0, 1.0])
 
 
-@pytest.mark.parametrize(("name", "values", "expected"), [
-    ("std", (0.1, 0.2), [0.1, 0.2]), ("weight", (4, 1), [0.5, 1.0])
-])  # fmt: skip
-def test_deviations_and_weights_are_converted_to_uncertainties(tmp_path, name, values, expected):
-    data = read_measurements(written(tmp_path, f"v,e,{name}\n1,0.8,{values[0]}\n2,0.7,{values[1]}\n"))
-    np.testing.assert_array_equal(data.uncertainty, expected)
-    assert data.absolute == (name == "std")
+def test_deviations_and_weights_are_converted_to_uncertainties(tmp_path):
+    deviations = read_measurements(written(tmp_path, "v,e,std\n1,0.8,0.1\n2,0.7,0.2\n"))
+    weights = read_measurements(written(tmp_path, "v,e,weight\n1,0.8,4\n2,0.7,1\n"))
+    assert (deviations.uncertainty.tolist(), deviations.absolute) == ([0.1, 0.2], True)
+    assert (weights.uncertainty.tolist(), weights.absolute) == ([0.5, 1.0], False)
 
 
 @pytest.mark.parametrize(("text", "problems"), [
@@ -90,28 +88,25 @@ def test_deviations_and_weights_are_converted_to_uncertainties(tmp_path, name, v
      [":2: restitution is 0,5", ":3: velocity is x", ":3: restitution is 1.2", ":4: velocity is -3",
       ":4: restitution is nan", ":5: velocity is empty"]),
     ("v,e\n1,0,8\n", [":2: the row has 3 values, but the header has 2 columns"]),
-    ("1,0.8\n2,0.7\n", [":1: the header is 1, 0.8"]),
-    ("v [mm],e\n1,0.8\n", [":1: the column of velocity is in mm"])
+    ("1,0.8\n2,0.7\n", [":1: the header is 1, 0.8"]), ("v [mm],e\n1,0.8\n", [":1: the column of velocity is in mm"])
 ])  # fmt: skip
 def test_each_invalid_row_or_header_is_reported_with_its_line(tmp_path, text, problems):
     path = written(tmp_path, text)
     with pytest.raises(FileError) as error:
         read_measurements(path)
-    assert len(error.value.problems) == len(problems)
-    for found, start in zip(error.value.problems, problems, strict=True):
-        assert found.startswith(f"{path}{start}")
+    found = [each.removeprefix(str(path)) for each in error.value.problems]
+    assert [each[: len(start)] for each, start in zip(found, problems, strict=True)] == problems
 
 
 def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     data = synthetic_measurements(STEEL, 30.0)
-    rows = zip(data.velocity.tolist(), data.restitution.tolist(), strict=True)
-    path = written(tmp_path, "velocity,restitution\n" + "".join(f"{v!r},{e!r}\n" for v, e in rows))
-    out = tmp_path / "out"
-    assert main(["fit", str(path), "--limit-velocity", "340.3 m/s", "--out", str(out)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    snippet = next(line.strip() for line in lines if line.strip().startswith("restitution: {"))
+    rows = [f"{v!r},{e!r}\n" for v, e in zip(data.velocity.tolist(), data.restitution.tolist(), strict=True)]
+    path = written(tmp_path, "".join(["velocity,restitution\n", *rows]))
+    assert main(["fit", str(path), "--limit-velocity", "340.3 m/s", "--out", str(tmp_path)]) == 0
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    snippet = next(line for line in lines if line.startswith("restitution: {"))
     scene = build_scene({"balls": particle_group([[0.0, 0.0, 0.0]])}, pair=YAML(typ="safe").load(snippet))
     pasted = scene.pairs["glass-glass"].restitution
     found = (pasted.sigma, pasted.psi, pasted.limit_velocity)
     assert found == pytest.approx((3.0432, 0.540, 340.3), rel=1e-5)
-    assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")
+    assert len((tmp_path / "fit.csv").read_text(encoding="utf-8").splitlines()) == 21

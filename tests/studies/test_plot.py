@@ -45,23 +45,20 @@ def test_expressions_of_columns(run, text, unit, expected):
 
 
 def test_foreign_columns_are_in_si_by_their_units(tmp_path):
-    """Stage times are converted as well; a unit that granflow does not know, or of two dimensions,
-    remains."""
+    """Stage times are converted as well; a unit of two dimensions remains."""
     path = tmp_path / "scope.csv"
     path.write_text(
-        "time [ms],stage,energy (mJ),share [%],angle [deg],speed [rpm],mass [g],torque [Nmm]\n"
-        "0,a,1,50,90,60,2,3\n20,b,2,100,180,30,4,6\n"
+        "time [ms],stage,energy (mJ),share [%],speed [rpm],mass [g]\n0,a,1,50,60,2\n20,b,2,100,30,4\n"
     )
     (panel,) = panels_of([path], "time", ["energy"])
     assert (panel.x_title, panel.y_title) == ("time (s)", "energy (J)")
-    (curve,) = panel.curves
-    assert curve.x == pytest.approx([0.0, 0.02]) and curve.y == pytest.approx([1e-3, 2e-3])
     _, series = series_of(path, "time")
     assert series.stages == ((0.0, "a"), (0.02, "b"))
     columns = {each.name: (each.unit, each.values.tolist()) for each in series.columns}
-    assert columns["share"] == ("", [0.5, 1.0]) and columns["mass"] == ("g", [2.0, 4.0])
-    assert columns["speed"] == ("rad/s", pytest.approx([2 * np.pi, np.pi]))
-    assert columns["angle"] == ("rad", pytest.approx([np.pi / 2, np.pi]))
+    assert columns == {
+        "energy": ("J", pytest.approx([1e-3, 2e-3])), "share": ("", [0.5, 1.0]), "mass": ("g", [2.0, 4.0]),
+        "speed": ("rad/s", pytest.approx([2 * np.pi, np.pi])),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "line", "part"), [
@@ -125,32 +122,25 @@ def test_page_and_image_of_a_quantity(run, tmp_path):
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
-COLLISION_ROWS = {  # end of the interval: count and count_total of the classes of particle, then of wall
-    1.0: ([0, 2, 3, 0], [0, 2, 3, 0], [1, 0, 0, 0], [1, 0, 0, 0]),
-    2.0: ([0, 1, 1, 4], [0, 3, 4, 4], [0, 5, 0, 0], [1, 5, 0, 0]),
-}
-
-
 def test_numbers_of_collisions_over_time_and_over_energy_at_the_end(tmp_path):
-    """Two intervals with four classes, and an incomplete third interval."""
-    edges = [0.0, 1e-6, 1e-4, 1e-2, np.inf]
-    rows = []
-    for end, numbers in COLLISION_ROWS.items():
-        for kind, counts, totals in (("particle", *numbers[:2]), ("wall", *numbers[2:])):
-            classes = zip(edges[:-1], edges[1:], counts, totals, strict=True)
-            rows += [(end - 1.0, end, kind, *values) for values in classes]
-    rows.append((2.0, 3.0, "particle", 0.0, 1e-6, 9, 9))
+    """Two intervals with three classes, and an incomplete third interval."""
     path = tmp_path / "collision_energies.csv"
-    lines = [",".join(map(str, row)) for row in (COLLISION_COLUMNS, *rows)]
-    path.write_text("\n".join(lines) + "\n")
-    names = ["count.particle", "count_total.particle", "count.wall", "count.particle_0.0001_to_0.01_J"]
-    (panel,) = panels_of([path], "time", names)
-    assert [curve.x.tolist() for curve in panel.curves] == [[1.0, 2.0]] * 4
-    assert [curve.y.tolist() for curve in panel.curves] == [[5, 6], [5, 11], [1, 5], [3, 1]]
-    (panel,) = panels_of([path], "energy", ["count_total.particle", "count.wall"])
-    assert panel.x_title == "energy (J)"
-    assert [curve.y.tolist() for curve in panel.curves] == [[0, 3, 4, 4], [0, 5, 0, 0]]
-    assert panel.curves[0].x == pytest.approx([np.nan, 1e-5, 1e-3, np.nan], nan_ok=True)
-    path.write_text(lines[0] + "\n0,1,particle,0,1e-6,2,2\n")
+    head = ",".join(COLLISION_COLUMNS)
+    path.write_text(f"""{head}
+0,1,particle,0,1e-6,0,0
+0,1,particle,1e-6,1e-4,2,2
+0,1,particle,1e-4,inf,3,3
+1,2,particle,0,1e-6,0,0
+1,2,particle,1e-6,1e-4,1,3
+1,2,particle,1e-4,inf,5,8
+2,3,particle,0,1e-6,9,9
+""")
+    (panel,) = panels_of([path], "time", ["count.particle", "count_total.particle"])
+    assert [curve.x.tolist() for curve in panel.curves] == [[1.0, 2.0]] * 2
+    assert [curve.y.tolist() for curve in panel.curves] == [[5, 6], [5, 11]]
+    (panel,) = panels_of([path], "energy", ["count_total.particle"])
+    assert panel.x_title == "energy (J)" and panel.curves[0].y.tolist() == [0, 3, 8]
+    assert panel.curves[0].x == pytest.approx([np.nan, 1e-5, np.nan], nan_ok=True)
+    path.write_text(f"{head}\n0,1,particle,0,1e-6,2,2\n")
     with pytest.raises(GranflowError, match="has no complete rows yet"):
-        panels_of([path], "time", ["count.wall"])
+        panels_of([path], "time", ["count.particle"])

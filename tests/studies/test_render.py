@@ -1,6 +1,5 @@
 """Pictures of a run: frame selection, colors, camera, and what VTK draws."""
 
-import signal
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of, turned
 
-from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
@@ -25,7 +23,7 @@ from granflow.studies.frames import (
     selected_frames,
     view_of,
 )
-from granflow.studies.render import prefixed, scale_for, values_of
+from granflow.studies.render import scale_for, values_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -52,7 +50,6 @@ def run(tmp_path):
 def test_each_frame_has_its_walls_and_contacts(run):
     frames = frames_of(run)
     assert [frame.time for frame in frames] == [0, 0.25, 0.5, 0.75]
-    assert frames[2].walls.name == "walls_0002.vtu" and frames[2].contacts.name == "contacts_0002.vtu"
     assert len(read_particles(frames[0]).radius) == 0
     expected = particles_of(COUNT, seed=2)
     np.testing.assert_allclose(read_particles(frames[2]).position, expected["position"], rtol=1e-6)
@@ -61,10 +58,6 @@ def test_each_frame_has_its_walls_and_contacts(run):
     contacts = contacts_of(7)
     np.testing.assert_allclose(chains.ends[:, 1], contacts["position_j"], rtol=1e-6)
     np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
-    path = run / "particles_0003.vtu"
-    path.write_bytes(path.read_bytes()[:700])
-    with pytest.raises(GranflowError, match=r"particles_0003.vtu cannot be read"):
-        read_particles(frames[-1])
 
 
 @pytest.mark.parametrize(("text", "numbers"), [
@@ -80,28 +73,21 @@ def test_frames_are_selected_by_position_number_or_time(run, text, numbers):
         assert [frame.number for frame in selected_frames(frames, text)] == numbers
 
 
-def test_vectors_are_colored_by_magnitude_or_component():
-    arrays = {"velocity": np.array([[3.0, 4.0, 12.0]])}
-    assert values_of(arrays, "velocity")[0] == 13.0 and values_of(arrays, "velocity.z")[0] == 12.0
-    with pytest.raises(GranflowError, match="Did you mean velocity"):
-        values_of(arrays, "velocty")
-
-
 def test_range_contains_98_percent_of_the_values_and_zero_if_near():
     values = np.arange(101.0)
     scale = scale_for("force", [values[:50], values[50:]], is_vector=True)
     assert scale.limits == (0.0, 99.0) and scale.out_of_range == (False, True)
-    assert (scale.title, scale.unit) == ("force\nmagnitude", "N")
     narrow = scale_for("radius", [2e-3 + 1e-5 * values])
     assert narrow.limits == pytest.approx((2.01e-3, 2.99e-3)) and (narrow.unit, narrow.factor) == ("mm", 1e-3)
     assert scale_for("velocity.z", [values - 10.0]).limits == (-89.0, 89.0)
-    assert scale_for("radius", [values], limits=(1.0, 2.0)).limits == (1.0, 2.0)
-    assert [prefixed("kg", 0.5e-3), prefixed("m^2", 1e-6)] == [(pytest.approx(1e-6), "mg"), (1.0, "m^2")]
+    arrays = {"velocity": np.array([[3.0, 4.0, 12.0]])}
+    assert (values_of(arrays, "velocity"), values_of(arrays, "velocity.z")) == ([13.0], [12.0])
 
 
-@pytest.mark.parametrize("text", [*VIEWS, "1,-2,0.8", "0,0,1"])
+@pytest.mark.parametrize("text", [*VIEWS, "1,-2,0.8"])
 def test_all_points_are_visible_and_fill_the_picture(text):
-    """Every point projects into the picture (pinhole formula); the outermost lies within 10 % of the edge."""
+    """Every point projects into the picture (pinhole formula); the outermost lies within 10 % of the edge. The
+    right of the front view is along x."""
     points = corners_of(np.array([[-1.0, 2.0, 0.0], [1.0, 2.5, 4.0]]))
     view = view_of(text)
     for aspect in (0.6, 1.8):
@@ -111,17 +97,8 @@ def test_all_points_are_visible_and_fill_the_picture(text):
         distances = np.abs(projected[:, :2] / half / [aspect, 1.0])
         assert 0.9 < distances.max() < 1.0
         assert np.all(projected[:, 2] < 0.0), "a point is behind the viewer"
-
-
-def test_view_directions_match_their_names():
-    for name, toward, right in (
-        ("front", [0, -1, 0], [1, 0, 0]), ("side", [1, 0, 0], [0, 1, 0]), ("top", [0, 0, 1], [1, 0, 0])
-    ):  # fmt: skip
-        assert view_of(name).toward.tolist() == toward and view_of(name).right.tolist() == right
     sideways = view_of("front", gravity=np.array([0.1, -9.8, 0.0]))
-    assert sideways.up.tolist() == [0, 1, 0] and sideways.right.tolist() == [1, 0, 0]
-    with pytest.raises(GranflowError, match="--view"):
-        view_of("1,nan,2")
+    assert (sideways.up.tolist(), sideways.right.tolist()) == ([0, 1, 0], [1, 0, 0])
 
 
 @pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="needs the plot extra")
@@ -145,23 +122,3 @@ def test_pictures_and_film(run):
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
     found = imageio_ffmpeg.count_frames_and_secs(str(run / "pictures" / "film_velocity_iso.mp4"))
     assert found == (4, pytest.approx(1.0, abs=0.05))
-
-
-def test_stopped_film_leaves_no_file(run, monkeypatch, capsys):
-    """SIGINT while the second of four pictures is drawn."""
-    pytest.importorskip("imageio_ffmpeg")
-
-    def blank(*_):
-        for number in range(4):
-            if number == 1:
-                signal.raise_signal(signal.SIGINT)
-            yield np.zeros((480, 640, 3), np.uint8)
-
-    monkeypatch.setattr("granflow.studies.render.pictures", blank)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in background jobs
-    try:
-        assert main(["render", str(run), "--film", "--size", "640x480"]) == 128 + signal.SIGINT
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert "stopped after 1 of 4 frames" in capsys.readouterr().err
-    assert not list((run / "pictures").iterdir())

@@ -123,11 +123,18 @@ def test_page_without_plotly_states_the_missing_package(run, capsys, monkeypatch
 
 def test_columns_of_one_quantity_and_unit_share_a_plot():
     """Also for column names that the report does not list; angles are drawn in degrees."""
-    names = "kinetic_energy J,elastic_energy J,wall_work J,overlap_mean,overlap_largest,force_z.floor N,force_x.lid N,slope.left rad"
-    parts = [each.partition(" ") for each in names.split(",")]
-    found = groups_of([SeriesColumn(name, unit, np.array([0.0, np.pi / 4])) for name, _, unit in parts])
+    names = [
+        "kinetic_energy J",
+        "elastic_energy J",
+        "wall_work J",
+        "force_z.floor N",
+        "force_x.lid N",
+        "slope.left rad",
+    ]
+    columns = [SeriesColumn(*name.split(), np.array([0.0, np.pi / 4])) for name in names]
+    found = groups_of(columns)
     assert [(group.title, group.unit, len(group.columns)) for group in found] == [
-        ("energy", "J", 2), ("wall work", "J", 1), ("overlap", "", 2), ("force", "N", 2), ("slope, left", "rad", 1)
+        ("energy", "J", 2), ("wall work", "J", 1), ("force", "N", 2), ("slope, left", "rad", 1)
     ]  # fmt: skip
     figure = plot_of(found[-1], TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())).figure
     assert figure["data"][0]["y"] == [0.0, 45.0]

@@ -106,8 +106,8 @@ def test_run_whose_scene_was_edited_after_its_check_is_not_kept(home, tmp_path, 
 def test_runs_with_truncated_files_are_repeated(home):
     out = shutil.copytree(home / "whole", home / "truncated")
     before = rows(out)
-    for row, name in ((0, "result.json"), (3, "outcome.json")):
-        (out / "runs" / before[row]["runs"] / name).write_text('{"run": {"wall_clock": 1.0')
+    for row, name in ((before[0], "result.json"), (before[3], "outcome.json")):
+        (out / "runs" / row["runs"] / name).write_text('{"run": {"wall_clock": 1.0')
     executed(out)
     assert rows(out) == before and len(starts(out)) == 8 + 2
 

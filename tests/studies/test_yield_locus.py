@@ -162,16 +162,6 @@ def test_remarks_on_a_locus(tmp_path, peaks, remark):
         assert np.sqrt(locus.line.covariance[1, 1]) == pytest.approx(expected.stderr)
 
 
-def test_points_left_of_the_circle_of_the_strength_are_left_out(tmp_path):
-    """The line 1000 Pa + 0.6 sigma has a circle through the origin that touches it at
-    c (tan + sqrt(1 + tan^2)) (1 - sin) = 860 Pa; a point at 500 Pa below the line is no part of it."""
-    tops = {0.1: 1200.0, 0.4: 2200.0, 0.6: 2800.0, 0.8: 3400.0}
-    runs = [shear_test(tmp_path, f"{r}", r, peaked(r * PRESHEAR, top / PEAK_MEAN)) for r, top in tops.items()]
-    (locus,) = evaluate(TEST, runs)
-    assert [each.is_used for each in locus.points] == [False, True, True, True]
-    assert (locus.line.cohesion, locus.line.slope) == pytest.approx((1000.0, 0.6), rel=2e-3)
-
-
 SWEEP = """\
 scene: SCENES/shear_tester.yaml
 vary:
