@@ -1,4 +1,4 @@
-"""Statistics of the comparison on synthetic snapshots: survival of contacts, force distribution, heights."""
+"""Statistics of the comparison on synthetic snapshots: force distribution and heights."""
 
 from types import SimpleNamespace
 
@@ -10,19 +10,7 @@ from granflow.studies.compare.bed import (
     FORCE_EDGES,
     BedHeights,
     ForceHistogram,
-    median_of,
-    survival,
 )
-
-
-def test_survival_matches_kaplan_and_meier():
-    """Five contacts: an end at 1 (share 4/5), one censored at 2, an end at 3 (4/5 2/3), an end at 4 (half of
-    it)."""
-    times, share = survival(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([True, False, True, True, False]))
-    np.testing.assert_array_equal(times, [1.0, 3.0, 4.0])
-    np.testing.assert_allclose(share, [4 / 5, 8 / 15, 4 / 15])
-    assert median_of(times, share) == 4.0
-    assert np.isnan(median_of(*survival(np.ones(3), np.zeros(3, dtype=bool))))
 
 
 def snapshot(particles, contacts):

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from dataclasses import asdict
 from types import SimpleNamespace
 
@@ -13,13 +12,11 @@ import granflow as gf
 from granflow import read_run
 from granflow.cli.main import main
 from granflow.io.log import RecordEntry, SessionFacts
-from granflow.io.tables import SeriesColumn, TimeSeriesTable
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.timeseries import CollisionEnergies
 from granflow.runs.read_run import Frames
 from granflow.snapshot import Snapshot
 from granflow.studies import report as report_module
-from granflow.studies.interactive_plots import groups_of, plot_of
 from granflow.studies.report import (
     collision_topics,
     field_content,
@@ -83,6 +80,9 @@ def text_of(directory):
 
 
 def test_page_of_a_complete_run_contains_all_results(run):
+    """The page loads no external content."""
+    assert main(["report", str(run)]) == 0
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', (run / "report.html").read_text(encoding="utf-8"))
     text = text_of(run)
     for fragment in (
         *("The run is complete.", "1 of 2 expectations", "it is &lt;2&gt;.", "too fast (2 times)", "12 345"),
@@ -111,34 +111,6 @@ def test_page_of_an_interrupted_and_resumed_run_states_reason_and_time(run):
     assert "cuda" in text and "resumed from checkpoint_1.npz" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
     assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*4", text, re.DOTALL)
-
-
-def test_page_without_plotly_states_the_missing_package(run, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    assert main(["report", str(run)]) == 0
-    assert "pip install plotly" in capsys.readouterr().out
-    html = (run / "report.html").read_text(encoding="utf-8")
-    assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "the page loads external content"
-
-
-def test_columns_of_one_quantity_and_unit_share_a_plot():
-    """Also for column names that the report does not list; angles are drawn in degrees."""
-    names = [
-        "kinetic_energy J",
-        "elastic_energy J",
-        "wall_work J",
-        "force_z.floor N",
-        "force_x.lid N",
-        "slope.left rad",
-    ]
-    columns = [SeriesColumn(*name.split(), np.array([0.0, np.pi / 4])) for name in names]
-    found = groups_of(columns)
-    assert [(group.title, group.unit, len(group.columns)) for group in found] == [
-        ("energy", "J", 2), ("wall work", "J", 1), ("force", "N", 2), ("slope, left", "rad", 1)
-    ]  # fmt: skip
-    figure = plot_of(found[-1], TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())).figure
-    assert figure["data"][0]["y"] == [0.0, 45.0]
-    assert figure["layout"]["yaxis"]["title"]["text"].endswith("(deg)")
 
 
 def test_fields_of_a_row_of_cells_are_profiles(tmp_path):
