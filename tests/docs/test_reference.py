@@ -14,7 +14,6 @@ from docsite import (
     model_pages,
     model_pictures,
     quantity_pages,
-    reference_links,
     scene_reference,
 )
 from pydantic import BaseModel, TypeAdapter
@@ -41,15 +40,6 @@ def test_every_scene_key_is_in_the_reference_with_its_unit():
         described = re.search(r"\[((?:m|s|k|k?g|J|N|Pa|rad)[^\]]*)\]", key.description)
         typed = set(re.findall(r"number \[(.*?)\]", type_text(key.schema)))
         assert not described or not typed or described[1] in typed, key
-
-
-def test_links_of_the_scene_reference_have_targets():
-    pages = scene_reference.pages()
-    targets = {name: set(re.findall(r"\{ #([\w-]+) \}", page)) for name, page in pages.items()}
-    for name, page in pages.items():
-        folder = name.rpartition("/")[0]
-        for target, part in re.findall(r"\]\(([\w/]*)(?:\.md)?#([\w-]+)\)", page):
-            assert part in targets[f"{folder}/{target}".strip("/") if target else name], (name, target, part)
 
 
 def test_examples_of_keys_are_values_of_their_fields():
@@ -119,16 +109,3 @@ def test_gallery_contains_every_scene_and_every_comparison():
         assert " ".join(row["granflow"].split()) in page
     pictures = set(re.findall(r"""[("]gallery/([\w.]+)[)"]""", page))
     assert pictures == {path.name for path in gallery.PICTURES.iterdir()}
-
-
-def test_first_names_of_keys_commands_and_classes_are_links():
-    """Not in headings, links and blocks of code, and not for words that have other meanings."""
-    text = (
-        "# `output.fields`\nSet `output.wall_forces: true`, [`pairs`](x.md) and `run`; `gf.Servo(...)` moves.\n"
-        "```\n`stages`\n```\nAgain `output.wall_forces`; `granflow check SCENE`."
-    )
-    assert reference_links.linked(text, "guides/page.md") == (
-        "# `output.fields`\nSet [`output.wall_forces: true`](../reference/scene/output.md#output-wall-forces), "
-        "[`pairs`](x.md) and `run`; [`gf.Servo(...)`](../reference/python/Servo.md) moves.\n```\n`stages`\n```\n"
-        "Again `output.wall_forces`; [`granflow check SCENE`](../reference/commands.md#check)."
-    )

@@ -10,18 +10,10 @@ from studies.sweep_files import SCENE
 
 from granflow.cli.main import main
 from granflow.errors import FileError, GranflowError, OutputError
+from granflow.studies.calibration import trials
 from granflow.studies.calibration.calibrate import estimate_trials, read_calibration, run_calibration
 from granflow.studies.calibration.schema import Target
 from granflow.studies.calibration.search import JOURNAL, Search
-from granflow.studies.calibration.trials import (
-    TrialRunner,
-    deviation,
-    partial_loss,
-    read_target,
-    residuals,
-    simulated,
-    standard_errors,
-)
 from granflow.studies.checked_run import RunSettings
 
 CALIBRATION = """\
@@ -77,7 +69,7 @@ def runner(folder, *changes):
     study = read_calibration(written(folder, *changes))
     common = RunSettings(folder / "runs", 1, "cpu", folder / "stop")
     search = Search(study.content, folder)
-    return TrialRunner(search, study.scenes, study.targets, study.positions, common, lambda: False)
+    return trials.TrialRunner(search, study.scenes, study.targets, study.positions, common, lambda: False)
 
 
 def test_trials_with_other_targets_or_another_content_of_a_scene_or_a_curve_are_refused(tmp_path):
@@ -145,13 +137,13 @@ repeat: {seeds: 2}
 search:"""
     path = written(
         tmp_path, ("from: 0.3", "from: 0.45"), ("1 mJ, tolerance: 10 uJ", "0.89, tolerance: 0.01"),
-        ("search:", more), ("trials: 12", "trials: 25"),
+        ("search:", more), ("trials: 12", "trials: 18"),
     )  # fmt: skip
     out = tmp_path / "out"
     study = read_calibration(path)
     lines = []
     result = run_calibration(study, out, jobs=2, report=lines.append)
-    assert result.is_met and len(lines) == 25
+    assert result.is_met and len(lines) == 18
     friction, restitution = (each.value for each in result.parameters)
     assert (friction, restitution) == pytest.approx((0.27, 0.62), rel=0.05)
     assert not any(each.not_identified for each in result.parameters) and not result.conflicts
@@ -161,9 +153,9 @@ search:"""
     assert "raise repeat.seeds" in height.noise
     assert (out / "calibration.html").stat().st_size > 10_000
     assert f"friction: {friction!r}" in (out / "best.yaml").read_text()
-    assert len((out / "starts.txt").read_text().splitlines()) == 2 * 25
+    assert len((out / "starts.txt").read_text().splitlines()) == 2 * 18
     again = run_calibration(study, out, jobs=2, report=lines.append)
-    assert len(lines) == 25 and again.parameters == result.parameters
+    assert len(lines) == 18 and again.parameters == result.parameters
 
 
 def test_calibration_continues_after_a_full_disk_and_reports_conflicting_targets(
@@ -193,16 +185,16 @@ def test_calibration_continues_after_a_full_disk_and_reports_conflicting_targets
 
 def target(folder, **more):
     given = {"scene": "a", "quantity": "flow_mass.out", "tolerance": 0.5, "weight": 3.0, **more}
-    return read_target(Target.model_validate(given), folder, "x:1:1")
+    return trials.read_target(Target.model_validate(given), folder, "x:1:1")
 
 
 def test_residual_of_a_value_is_the_weighted_deviation_in_tolerances(tmp_path):
     """(5 - 4) / 0.5 = 2 tolerances; the share of the loss is 3 * 2^2 = 12."""
     (tmp_path / "result.json").write_text(json.dumps({"flow_meters": {"out": {"flow_mass": 5.0}}}))
     measured = target(tmp_path, value=4.0)
-    found = residuals(measured, simulated(measured, tmp_path))
+    found = trials.residuals(measured, trials.simulated(measured, tmp_path))
     assert float(found @ found) == pytest.approx(12.0)
-    assert deviation(measured, {"a": found.tolist()}, "a") == pytest.approx(2.0)
+    assert trials.deviation(measured, {"a": found.tolist()}, "a") == pytest.approx(2.0)
     assert errors_of([tmp_path], measured) == [0.0]
 
 
@@ -214,8 +206,8 @@ def test_curve_is_compared_from_the_beginning_of_its_stage(tmp_path):
     ]
     (tmp_path / "flow.csv").write_text("time,value\n0,1\n0.5,6\n1.1,12\n2,21\n")
     measured = target(tmp_path, curve="flow.csv", stage="out")
-    for count, loss in ((13, lambda: residuals(measured, simulated(measured, tmp_path)) ** 2),
-                        (10, lambda: partial_loss(measured, tmp_path))):  # fmt: skip
+    for count, loss in ((13, lambda: trials.residuals(measured, trials.simulated(measured, tmp_path)) ** 2),
+                        (10, lambda: trials.partial_loss(measured, tmp_path))):  # fmt: skip
         lines = ["time [s],stage,flow_mass.out [kg]", *rows[:count]]
         (tmp_path / "timeseries.csv").write_text("\n".join(lines) + "\n")
         assert np.sum(loss()) == pytest.approx(12.0 if count == 13 else 9.0)
@@ -229,15 +221,15 @@ def test_a_curve_is_converted_by_the_units_of_its_columns(tmp_path):
 
 def errors_of(directories, measured):
     """Standard errors of the residuals of a target from runs with different seeds."""
-    values = np.array([simulated(measured, each) for each in directories])
-    return standard_errors(measured, values, directories)
+    values = np.array([trials.simulated(measured, each) for each in directories])
+    return trials.standard_errors(measured, values, directories)
 
 
 def test_standard_error_of_seeds_is_the_larger_one_of_scatter_and_errors_of_the_runs(tmp_path):
     """Angles 25, 27, 29 deg: s = 2 deg, s / sqrt(3) = 1.155 deg. Errors of 1 deg of each run: sqrt(3) / 3 deg;
     of 3 deg: 1.732 deg. The tolerance is 3 deg."""
     given = {"scene": "a", "quantity": "angle_of_repose.left", "tolerance": "3 deg", "value": "27 deg"}
-    measured = read_target(Target.model_validate(given), tmp_path, "x:1:1")
+    measured = trials.read_target(Target.model_validate(given), tmp_path, "x:1:1")
     for error, expected in ((1.0, 2.0 / np.sqrt(3.0)), (3.0, 3.0 / np.sqrt(3.0))):
         folders = []
         for degrees in (25.0, 27.0, 29.0):

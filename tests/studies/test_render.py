@@ -79,7 +79,7 @@ def test_range_contains_98_percent_of_the_values_and_zero_if_near():
     assert scale.limits == (0.0, 99.0) and scale.out_of_range == (False, True)
     narrow = scale_for("radius", [2e-3 + 1e-5 * values])
     assert narrow.limits == pytest.approx((2.01e-3, 2.99e-3)) and (narrow.unit, narrow.factor) == ("mm", 1e-3)
-    assert scale_for("velocity.z", [values - 10.0]).limits == (-89.0, 89.0)
+    assert scale_for("velocity.z", [10.0 - values]).limits == (-89.0, 89.0)
     arrays = {"velocity": np.array([[3.0, 4.0, 12.0]])}
     assert (values_of(arrays, "velocity"), values_of(arrays, "velocity.z")) == ([13.0], [12.0])
 

@@ -9,7 +9,6 @@ from observers.snapshots import particles_of, snapshot_of
 from granflow import read_run
 from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.frames import ParticleFrames
-from granflow.studies import report_view
 from granflow.studies.frames import frames_of, read_particles
 from granflow.studies.report_view import interactive_view
 
@@ -50,14 +49,6 @@ def test_positions_radii_and_colors_are_within_the_resolution(tmp_path):
         expected = np.clip((speed - low) / (high - low), 0, 1) * 255
         np.testing.assert_allclose(array(view.data, entry["colors"][index]), expected, atol=2)
     assert grid["step"] <= particles.radius.min() / 60
-
-
-def test_many_particles_are_thinned_by_id(tmp_path, monkeypatch):
-    monkeypatch.setattr(report_view, "MOST_PARTICLES", 20)
-    view = interactive_view(write_run(tmp_path))
-    ids = read_particles(frames_of(tmp_path)[0]).arrays["id"]
-    assert view.header["frames"][0]["count"] == np.sum(ids % 3 == 0) <= 20
-    assert "those whose id is a multiple of 3" in view.statement
 
 
 def test_walls_are_in_the_view_and_colored_by_their_wear(tmp_path):

@@ -11,17 +11,9 @@ from studies.sweep_files import SCENE, SWEEP, write_sweep
 
 from granflow.errors import FileError
 from granflow.io.checkpoint import write_checkpoint
+from granflow.studies import run_process
 from granflow.studies.checked_run import CheckedRun, RunSettings
 from granflow.studies.run_pool import SYSTEMS, Driver, cluster_options, read_profile
-from granflow.studies.run_process import (
-    ABORTED,
-    CRASHED,
-    DONE,
-    MISSED,
-    Outcome,
-    RunRequest,
-    final_outcome,
-)
 from granflow.studies.sweep import checked_points, read_sweep
 from granflow.studies.sweep_design import SobolSampling, SweepInput, design_points, unit_samples
 from granflow.studies.sweep_table import table_of, write_tables
@@ -54,7 +46,7 @@ def settings(folder):
 
 def names_of_runs(folder):
     """Names of the run directories of a sweep of two points."""
-    text = SWEEP.replace("[0.5, 0.9, 1.2]", "[0.5]").replace("count: 4", "count: 2")
+    text = SWEEP.replace("[0.5, 0.9, 1.2]", "[0.5]").replace("0.2, 0.4]", "0.2]")
     (folder / "sweep.yaml").write_text(text)
     points = checked_points(read_sweep(folder / "sweep.yaml"), settings(folder))
     return [run.directory.name for _, runs in points for run in runs]
@@ -158,19 +150,27 @@ class Instant:
 def run(folder, name):
     directory = folder / name
     directory.mkdir(parents=True)
-    return CheckedRun(RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1, 0.0)
+    return CheckedRun(
+        run_process.RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1, 0.0
+    )
 
 
 def test_lost_runs_are_retried_twice_and_aborted_runs_never(tmp_path):
-    lost = Outcome(CRASHED, "The process was ended by SIGKILL.", 1.0, is_lost=True)
+    lost = run_process.Outcome(run_process.CRASHED, "The process was ended by SIGKILL.", 1.0, is_lost=True)
     executor = Instant({
-        "a": [lost, lost, Outcome(DONE)], "b": [lost] * 5, "c": [Outcome(ABORTED, "overlap")],
-        "d": [RuntimeError("connection closed"), Outcome(MISSED)], "e": [Outcome(CRASHED, "a defect")],
+        "a": [lost, lost, run_process.Outcome(run_process.DONE)], "b": [lost] * 5, "c": [run_process.Outcome(run_process.ABORTED, "overlap")],
+        "d": [RuntimeError("connection closed"), run_process.Outcome(run_process.MISSED)], "e": [run_process.Outcome(run_process.CRASHED, "a defect")],
     })  # fmt: skip
     runs = [run(tmp_path, name) for name in "abcde"]
     found = Driver(executor, lambda: 1, Event(), lambda *_: None, {}).run(runs)
     statuses = [found[each.request.directory].status for each in runs]
-    assert statuses == [DONE, CRASHED, ABORTED, MISSED, CRASHED]
+    assert statuses == [
+        run_process.DONE,
+        run_process.CRASHED,
+        run_process.ABORTED,
+        run_process.MISSED,
+        run_process.CRASHED,
+    ]
     assert [executor.names.count(name) for name in "abcde"] == [3, 3, 1, 2, 1]
 
 
@@ -185,7 +185,7 @@ def ended(folder, name, **result):
 def table_of_one_point(runs, *quantities):
     """The table of one point, a = 3 mm, with these runs."""
     (point,) = design_points(sweep_of(vary={"a": ["3 mm"]}))
-    outcomes = {each.request.directory: final_outcome(each.directory) for each in runs}
+    outcomes = {each.request.directory: run_process.final_outcome(each.directory) for each in runs}
     return table_of(("a",), quantities, [(point, runs)], outcomes)
 
 

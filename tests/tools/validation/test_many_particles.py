@@ -22,18 +22,6 @@ def test_integrated_cooling_of_constant_restitution_is_haffs_law():
     assert cooling.exponent(time, theta) == pytest.approx(0.5, abs=1e-6)
 
 
-def test_restitution_of_viscoelastic_spheres_follows_the_series():
-    """e = 1 - 1.15344 g + 0.79826 g^2 with g ~ v^(1/5) (Ramirez et al. 1999); the remainder is below g^(5/2)
-    / 2."""
-    restitution = cooling.viscoelastic_restitution(0.97, 1.0)
-    g = (1.15344 - np.sqrt(1.15344**2 - 4.0 * 0.79826 * 0.03)) / (2.0 * 0.79826)
-    speed = np.array([0.01, 0.1, 3.0])
-    scaled = g * speed**0.2
-    series = 1.0 - 1.15344 * scaled + 0.79826 * scaled**2
-    np.testing.assert_allclose(restitution(speed), series, rtol=0.0, atol=3e-4)
-    assert restitution(np.array([1.0]))[0] == pytest.approx(0.97, abs=1e-6)
-
-
 def test_evaluation_of_the_flights_of_a_vibrated_particle():
     flights = vibrated.flights_of_map(3.8)
     assert statuses(vibrated.flight_cases(3.8, flights, 400)) == ["pass", "pass"]

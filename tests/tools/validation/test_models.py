@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from validation import rheology, rolling_models
+from validation import rheology
 from validation import theory_of_collisions as theory
 from validation.theory_of_collisions import Pair, Partner
 
@@ -27,13 +27,6 @@ def test_integrated_collision_has_the_figures_of_the_paper(e, residual, unloadin
     assert found.unloading / unit == pytest.approx(unloading, abs=6e-5)
     assert 1.0 - theory.zhou_recovery(e) == pytest.approx(residual, abs=6e-7)
     assert theory.zhou_tangent(e) == pytest.approx(tangent, rel=5e-3)
-
-
-def test_prony_finds_both_of_two_damped_oscillations():
-    time = 0.01 * np.arange(200)
-    values = np.exp(-0.3 * time) * np.cos(5.0 * time) + 0.5 * np.exp(-2.0 * time) * np.sin(31.0 * time)
-    slow, fast = rolling_models.modes_of(values, 0.01, 2)
-    assert slow == pytest.approx(-0.3 + 5.0j, rel=1e-6) and fast == pytest.approx(-2.0 + 31.0j, rel=1e-6)
 
 
 def test_accelerating_layer_has_less_friction_than_a_steady_one():
