@@ -1,30 +1,15 @@
 """Scenes from Python mappings: the same checks as for files, with key paths as positions; immutable."""
 
-import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group
 
 from granflow import Output, Scene, SceneError
-from granflow.load import scene_of
 
 
 def described(**changes):
     """A scene with one particle as a mapping, with other values for some of its keys."""
     scene = build_scene({"ball": particle_group([[0.0, 0.0, 0.0]])})
     return scene.model_dump(by_alias=True, exclude_none=True) | changes
-
-
-def test_mapping_and_text_give_the_same_scene():
-    region = {"box": {"min": [0, 0, 0], "max": [0.5, 0.5, 0.5]}}
-    insertion = {"kind": "pack", "region": region}
-    group = {"material": "glass", "diameter": 0.01, "mass": "10 g", "insert": insertion}
-    given = described(
-        gravity=np.array([0.0, 0.0, -9.81]), run={"duration": "20 ms"}, particles={"beads": group}
-    )
-    scene = Scene.from_dict(given)
-    assert scene.gravity == (0.0, 0.0, -9.81) and scene.run.duration == 0.02
-    assert scene.particles["beads"].count == 8
-    assert scene_of(scene.to_yaml(), "scene") == scene
 
 
 @pytest.mark.parametrize(("data", "message"), [
