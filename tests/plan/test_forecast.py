@@ -26,6 +26,16 @@ def test_shipped_scenes_cause_no_warning(path):
     assert warnings_of(load_scene(path)) == []
 
 
+def test_conducting_materials_without_their_real_modulus_are_listed():
+    """heat_bed gives true_young_modulus, heat_conduction does not."""
+    plans = [
+        plan_for(load_scene(scene_paths()[f"verification/{name}"]))
+        for name in ("heat_conduction", "heat_bed")
+    ]
+    areas = [[each.value for each in plan.forecasts if "areas" in each.name] for plan in plans]
+    assert areas == [["of 10 MPa"], []]
+
+
 def dropped_ball(modulus, restitution=1.0, **parts):
     """A particle of 10 mm that hits a floor with 2.5 m/s."""
     return build_scene(
@@ -169,6 +179,7 @@ LIFT = free_lid(force=5.0 * 0.05 * GRAVITY)
     (f"the bed is about {DISTANCE:.3g} m away.*Set velocity_max to 0.7[0-9]* m/s",
      bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, velocity_max=0.77))),
     ("the bed is about", bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, [LOWERING], velocity_max=0.1))),
+    ("the bed is about", bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, direction=[1, 0, 0], velocity_max=0.1))),
     # Without contacts a servo moves at gain F = 1e-3 m/(s N) 5.76 N: in 11.2 s, or in 0.1 s at a target of 643 N.
     (r"0.00576 m/s, gain times force.*target \(to 7.7e\+02 N.* give it 13 s", bed(walls=lid(**SLOW)),
      bed(walls=lid(770.0 / 0.024**2, **SLOW))),
