@@ -45,6 +45,7 @@ FILES = [
     (b"hopper", f":1:1: this is not a mapping, {EXAMPLE}"),
     ("title: x\n".encode("utf-16"), ":1:1: the file is encoded in UTF-16; save it as UTF-8."),
     (b"title: x\nseed: \xff\n", ":2:7: the file is not valid UTF-8 text; save it as UTF-8."),
+    (b"title: x\nseed: \x07\n", ":2:7: the text contains the control character U+0007; delete it."),
     (b"title: x\0\n", ": the file is binary; a scene is UTF-8 text."),
     (b"scene: a.yaml\nvary: {seed: [1, 2]}\n",
      ":1:1: this is a sweep, not a scene; granflow sweep reads it, and its --dry-run checks it."),

@@ -20,6 +20,7 @@ def warnings_of(scene):
     return [each.warning for each in plan_for(scene).forecasts if each.warning]
 
 
+# These functions return overrides of the scene of ten beads.
 def wall(shape, motion=""):
     return [f"walls.part={{shape: {shape}, material: glass{motion and f', motion: {motion}'}}}"]
 
@@ -122,7 +123,7 @@ REPOSE = "output.metrics={heap: {kind: repose, surface: cone}}"
     ("materials.glass.density .* is 2.5 kg/m3, less than light foams", ["materials.glass.density=2.5"], []),
     ("young_modulus .* is 5e[+]04 GPa, more than that of diamond", ["materials.glass.young_modulus=50e6 N/mm2"],
      ["materials.steel.young_modulus=50e6 N/mm2"]),
-    ("work_of_adhesion .* is not used, because contact.cohesion is none", 
+    ("work_of_adhesion .* is not used, because contact.cohesion is none",
      ["pairs.glass-glass.work_of_adhesion=0.1"], []),
     ("pairs.glass-glass.friction .* is 30: it is a coefficient", ["pairs.glass-glass.friction=30"], []),
     ("diameter .* is 4 m, 100 times the longest side of the domain",
