@@ -140,12 +140,11 @@ def planned(wall, **parts):
 
 
 TUBE = {"shape": "cylinder", "from": [0, 0.05, 0.05], "to": [0.1, 0.05, 0.05], "radius": 0.04}
-DISC = {"shape": "disc", "center": [0.05, 0.05, 0.05], "radius": 0.048}
+DISC = {"shape": "disc", "center": [0.05, 0.05, 0.05], "normal": [0, 0, 1], "radius": 0.048}
 BAR = {"shape": "rectangle", "corner": [-0.02, 0.05, 0.05], "sides": [[0.14, 0, 0], [0, 0.02, 0]]}
 SHORT = {"shape": "rectangle", "corner": [0.02, 0.03, 0.05], "sides": [[0.06, 0, 0], [0, 0.04, 0]]}
 WIDE = SHORT | {"corner": [0.02, 0.01, 0.05], "sides": [[0.06, 0, 0], [0, 0.08, 0]]}
-SLAB = {"shape": "rectangle", "corner": [0, 0, 0.02], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}
-LONG = SLAB | {"corner": [-0.07, 0, 0.02], "sides": [[0.25, 0, 0], [0, 0.1, 0]]}
+LONG = {"shape": "rectangle", "corner": [-0.07, 0, 0.02], "sides": [[0.25, 0, 0], [0, 0.1, 0]]}
 FLOOR = plane([0, 0, 0.02], [0, 0, 1])
 
 
@@ -155,16 +154,13 @@ FLOOR = plane([0, 0, 0.02], [0, 0, 1])
         (plane([0, 0, 0.02], [1, 0, 1]), None, None, False),
         (TUBE, None, None, True),
         (TUBE | {"to": [0.09, 0.05, 0.05]}, None, None, False),
-        (DISC | {"normal": [0, 0, 1]}, [0, 0, 1], None, True),  # from 2 to 98 mm, but round
-        (DISC | {"normal": [0, 0, 1]}, [0, 1, 0], None, False),
+        (DISC, [0, 0, 1], None, True),  # from 2 to 98 mm, but round
+        (DISC, [0, 1, 0], None, False),
         (FLOOR, [0, 1, 0], None, False),
-        (TUBE, [1, 0, 0], None, True),
         (BAR, [1, 0, 0], None, True),
-        (BAR, [0, 0, 1], None, False),
         (SHORT, [0, 0, 1], None, True),
         (WIDE, [0, 0, 1], None, False),
-        (SLAB, None, [10, 0, 0], False),  # many times the width of the box
-        (SLAB, None, [0, 0.06, 0.06], True),  # y is not periodic
+        (LONG, None, [0, 0.06, 0.06], True),  # y is not periodic
         (LONG, None, [0.06, 0, 0], True),  # from -10 to 240 mm
         (LONG, None, [0.08, 0, 0], False),  # from 10 mm
     ],

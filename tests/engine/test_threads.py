@@ -125,16 +125,6 @@ def test_contention_reduces_the_workers_within_a_second_and_they_return_when_it_
     assert tuner.size == 4
 
 
-def test_rare_contention_and_scattered_rates_keep_two_workers():
-    """Every third launch is contended; rates of short launches scatter, and 20 together have the mean."""
-    contended, scattered = WorkerTuner(2), WorkerTuner(2)
-    for number in range(4_000):
-        size = contended.next_size
-        contended.record(0.05 * {1: 1.0, 2: 1.6}[size], 0.05, contended=size == 2 and number % 3 == 0)
-        scattered.record(1e-3 * IDLE[scattered.next_size] * (1.9, 0.1)[number % 2], 1e-3, contended=False)
-    assert contended.size == scattered.size == 2
-
-
 @pytest.mark.parametrize(("count", "workers", "given", "size"), [
     (64, 4, "auto", 1), (65, 1, "auto", 512), (17000, 1, "auto", 16384),
     (5001, 2, "auto", 626), (40000, 2, "auto", 4000), (5000, 4, "auto", 512), (5000, 2, 77, 77),

@@ -83,30 +83,6 @@ def test_f64_field_at_an_odd_offset_leaves_its_neighbors(vulkan):
     assert (lowest, highest) == (-1.0 / 3.0, 2.0 / 3.0)
 
 
-def atomic_sums(arch):
-    """A sum of i64 terms above the range of i32 in one entry, and the same terms added to 4 entries of
-    vectors."""
-    ti = started(arch)
-    total = ti.field(ti.i64, 1)
-    shared = ti.Vector.field(3, ti.i64, 4)
-
-    @ti.kernel
-    def add():
-        for i in range(10 * COUNT):
-            term = ti.cast(i, ti.i64) * 1_000_000_007
-            ti.atomic_add(total[0], term)
-            ti.atomic_sub(shared[i % 4][1], term)
-
-    add()
-    return [int(total[0]), shared.to_numpy().sum(axis=0).tolist()]
-
-
-def test_atomic_additions_of_64_bit_integers_are_exact(vulkan):
-    """Required for the forces on walls."""
-    total = sum(range(10 * COUNT)) * 1_000_000_007
-    assert in_subprocess(atomic_sums, "vulkan") == [total, [0, -total, 0]]
-
-
 def rounding(arch):
     """Number of results, by expression, that differ from numpy."""
     import numpy as np
@@ -147,34 +123,6 @@ def test_each_operation_has_the_bits_of_numpy(vulkan):
     """Vulkan drivers reassociate the other expressions: neither kernel language marks operations as exact."""
     assert in_subprocess(rounding, "cpu") == [0] * 8
     assert in_subprocess(rounding, "vulkan")[:4] == [0] * 4
-
-
-def powers(arch):
-    """Largest differences of x^0.4 and e^x from numpy, in units of the last place."""
-    import numpy as np
-
-    from granflow.device_functions import exponential_f64, power_f64
-
-    ti = started(arch)
-    rng = np.random.default_rng(3)
-    x = np.concatenate([10.0 ** rng.uniform(-30.0, 12.0, 2000), [1.0]])
-    y = np.concatenate([rng.uniform(-30.0, 30.0, 2000), [0.0]])
-    found = np.zeros((2001, 2))
-
-    @ti.kernel
-    def evaluate(x: ti.types.ndarray(), y: ti.types.ndarray(), found: ti.types.ndarray()):
-        for i in range(2001):
-            found[i, 0] = power_f64(x[i], 0.4)
-            found[i, 1] = exponential_f64(y[i], 0.0)
-
-    evaluate(x, y, found)
-    exact = np.stack([x**0.4, np.exp(y)], axis=1)
-    return (np.abs(found - exact) / np.spacing(exact)).max(axis=0).tolist()
-
-
-def test_powers_without_those_of_vulkan_are_exact_to_2_ulp(vulkan):
-    """Numpy itself is exact to 1 ulp."""
-    assert max(in_subprocess(powers, "vulkan")) <= 3.0
 
 
 def copies_of_a_long_field():

@@ -44,16 +44,12 @@ def test_unreliable_devices_are_refused_in_one_line_with_a_remedy(monkeypatch, c
             backend.refuse_unreliable_vulkan(reliable)
 
 
-def test_metal_and_unknown_kernel_languages_are_refused(capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(["run", "scene.yaml", "--arch", "metal"])
-    assert stopped.value.code == 2 and "invalid choice: 'metal'" in capsys.readouterr().err
+def test_unknown_kernel_languages_are_refused():
     command = [sys.executable, "-m", "granflow", "check", "scene.yaml"]
     environment = os.environ | {"GRANFLOW_KERNELS": "numba"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
-    (sentence,) = done.stderr.strip().splitlines()
     assert done.returncode == 2
-    assert sentence.endswith("the kernel languages are taichi and quadrants.")
+    assert done.stderr.strip().endswith("the kernel languages are taichi and quadrants.")
 
 
 @pytest.mark.skipif(KERNELS != "taichi", reason="the other kernel language is Quadrants")
@@ -63,5 +59,3 @@ def test_another_kernel_language_than_that_of_the_process_is_refused(capsys, mon
     assert capsys.readouterr().err.strip() == (
         "granflow: --kernels quadrants: this process already uses taichi."
     )
-    assert main(["run", "absent.yaml", "--kernels", "taichi"]) == 2
-    assert "absent.yaml" in capsys.readouterr().err

@@ -100,7 +100,6 @@ FAULTY_SIEVES = {
     "opening,passing [kg]\n1,0\n2,1\n": ":1: the unit of passing [kg] is invalid: ",
     "opening,mass\n0,1\n2,x\n": ":2: opening is 0, but it must be a number above 0;|:3: mass is x, but",
     "size,passing\n1,0\n2,100\n": ":3: passing is 100, but it must be at most 1;",
-    "size [mm],passing [%]\n1,0\ninf,100\n": ":3: size [mm] is inf, but",
     "size [mm],passing [%]\n2,50\n3,40\n1,10\n": ":4: passing [%] is 10, but the smallest sieve must pass 0;|"
     ":3: passing [%] is 40, but the next smaller sieve passes 50 %;|:3: passing [%] is 40, but the largest sieve",
     "size [mm],passing\n1,0\n1,0.5\n2,1\n": ":3: size [mm] is 1, but openings must increase",
