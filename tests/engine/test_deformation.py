@@ -25,11 +25,14 @@ def deformed(positions, deformation, diameter=0.01, duration=0.01, pair=None, st
     run = {"velocity_max": 1.0, "time_step": 4e-6}
     box = {"min": [0.01] * 3, "max": [0.01 + SIDE] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"}
     return build_scene(
-        {"balls": particle_group(positions, diameter, **moving)}, normal="hertz", numerics={"chunk_size": 16},
-        pair={"restitution": 1.0} | (pair or {}), domain=box | {"deformation": deformation},
-        run=run if stages else run | {"duration": duration}, output={"interval": 1.0, "energy_budget": True},
-        **({"stages": stages} if stages else {}),
-    )  # fmt: skip
+        {"balls": particle_group(positions, diameter, **moving)},
+        normal="hertz",
+        numerics={"chunk_size": 16},
+        pair={"restitution": 1.0} | (pair or {}),
+        domain=box | {"deformation": deformation},
+        output={"interval": 1.0, "energy_budget": True},
+        **({"run": run, "stages": stages} if stages else {"run": run | {"duration": duration}}),
+    )
 
 
 def lattice(count=3):
@@ -60,10 +63,15 @@ def test_cubic_lattice_has_hertzian_pressures_and_reaches_targets(taichi_f64):
     ]
     for count in (1, 2):
         last, _ = run_to_end(deformed(lattice(), rates, stages=stages[:count]))
+        if count == 1:
+            width = SIDE * np.exp(np.array([-1.0, -2.0, -0.5]) * last.time)
+            np.testing.assert_allclose(of_axes(last, "box_width"), width, rtol=1e-5)
         cell = of_axes(last, "box_width") / 3
         overlap = 0.01 - cell
         force = STIFFNESS * overlap**1.5
         assert overlap.min() > 1e-5
+        fraction = 27 * np.pi / 6 * 0.01**3 / of_axes(last, "box_width").prod()
+        assert last.totals["solid_fraction"] == pytest.approx(fraction)
         np.testing.assert_allclose(of_axes(last, "box_pressure"), force * cell / cell.prod(), rtol=1e-8)
         stored = 27 * (2 / 5 * force * overlap).sum()
         assert last.totals["elastic_energy"] == pytest.approx(stored, rel=1e-8)

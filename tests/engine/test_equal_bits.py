@@ -96,14 +96,10 @@ def test_stage_boundaries_do_not_change_the_motion(taichi_f64, models):
     )
     run = {"velocity_max": 1.0, "time_step": 2e-6}
     stages = [{"name": name, "duration": 6e-4} for name in ("first", "second", "third", "fourth")]
-    whole, parts = (
-        run_to_end(
-            build_scene(
-                {"stack": stack}, {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}, gravity=[0, 0, -9.81], **models, **course
-            )
-        )[0]
-        for course in ({"run": run | {"duration": 2.4e-3}}, {"run": run, "stages": stages})
-    )  # fmt: skip
+    floor = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
+    given = {"gravity": [0.0, 0.0, -9.81], **models}
+    whole, _ = run_to_end(build_scene({"stack": stack}, floor, run=run | {"duration": 2.4e-3}, **given))
+    parts, _ = run_to_end(build_scene({"stack": stack}, floor, run=run, stages=stages, **given))
     for name in ("position", "velocity", "angular_velocity"):
         scale = np.abs(whole.particles[name]).max()
         np.testing.assert_allclose(parts.particles[name], whole.particles[name], rtol=0.0, atol=1e-9 * scale)

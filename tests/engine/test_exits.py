@@ -21,11 +21,9 @@ def scene(aside=2, outlets=None, meter=None):
         groups["flying"] = particle_group([[x, 0.0, 0.05] for x, *_ in at[:2]], velocity=[2.5, 0.0, 0.0])
     sides = [[0.0, 0.2, 0.0], [0.0, 0.0, 0.12]]
     plate = {"point": [meter, -0.1, -0.02], "normal": [1, 0, 0], "sides": sides}
-    return build_scene(
-        groups, outlets=outlets or {}, gravity=[0.0, 0.0, -9.81], domain=DOMAIN,
-        run={"duration": 0.06, "velocity_max": 3.0},
-        output={"interval": 0.01, "flow_meters": {"plate": plate} if meter else {}},
-    )  # fmt: skip
+    output = {"interval": 0.01, "flow_meters": {"plate": plate} if meter else {}}
+    parts = {"run": {"duration": 0.06, "velocity_max": 3.0}, "domain": DOMAIN, "output": output}
+    return build_scene(groups, outlets=outlets or {}, gravity=[0.0, 0.0, -9.81], **parts)
 
 
 def warnings_of(given, **options):

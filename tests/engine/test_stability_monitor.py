@@ -28,10 +28,9 @@ def in_box(positions, velocity=(0.0, 0.0, 0.0), **parts):
     """Elastic particles with friction in a box with an energy budget; one structure."""
     numerics = {"chunk_size": 16} | parts.pop("numerics", {})
     run = {"duration": 0.01, "velocity_max": 4.0} | parts.pop("run", {})
-    return build_scene(
-        {"beads": particle_group(positions, velocity=velocity)}, box(0.045), run=run, numerics=numerics,
-        pair={"restitution": 1.0, "friction": 0.3}, output={"interval": 1.0, "energy_budget": True}, **parts,
-    )  # fmt: skip
+    parts |= {"pair": {"restitution": 1.0, "friction": 0.3}, "run": run, "numerics": numerics}
+    parts |= {"output": {"interval": 1.0, "energy_budget": True}}
+    return build_scene({"beads": particle_group(positions, velocity=velocity)}, box(0.045), **parts)
 
 
 def gas(**parts):

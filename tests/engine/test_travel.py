@@ -54,10 +54,8 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, thin_walls):
     positions = np.stack([(xs + 0.0075 * sides).ravel(), ys.ravel(), sides.ravel() * heights], axis=1)
     numerics = FAST["numerics"] | {"max_overlap": 0.5}
     toward = np.outer(-speed * np.sign(positions[:, 2]), [0.0, 0.0, 1.0])
-    scene = build_scene(
-        {"fast": particle_group(positions)}, thin_walls, materials={"glass": STIFF}, numerics=numerics,
-        pair={"restitution": 0.5}, run=FAST["run"],
-    )  # fmt: skip
+    parts = FAST | {"numerics": numerics, "materials": {"glass": STIFF}, "pair": {"restitution": 0.5}}
+    scene = build_scene({"fast": particle_group(positions)}, thin_walls, **parts)
     with Simulation(scene) as simulation:
         simulation.particles.velocity[:] = toward  # after planning, so that the plan does not refuse them
         simulation.run(until=6e-4)

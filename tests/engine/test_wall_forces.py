@@ -140,12 +140,16 @@ def stacked_particles(count=3):
         below += (0.005 if index == 0 else 0.01) - ((count - index) * MASS * GRAVITY / k) ** (2.0 / 3.0)
         heights.append([0.0, 0.0, below])
     walls = {"floor": plane([0, 0, 0], [0, 0, 1]), "lid": plane([0, 0, 1], [0, 0, -1])}
+    expected = {"quantity": "wall_force_z.floor", "equals": -count * MASS * GRAVITY, "tolerance": 1e-9}
     return build_scene(
-        {"balls": particle_group(heights)}, walls, normal="hertz", gravity=[0.0, 0.0, -GRAVITY],
+        {"balls": particle_group(heights)},
+        walls,
+        normal="hertz",
+        gravity=[0.0, 0.0, -GRAVITY],
         run={"duration": 0.004, "velocity_max": 0.5},
         output={"interval": 0.002, "timeseries_interval": 0.001, "wall_forces": True},
-        expect=[{"quantity": "wall_force_z.floor", "equals": -count * MASS * GRAVITY, "tolerance": 1e-9}],
-    )  # fmt: skip
+        expect=[expected],
+    )
 
 
 def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
