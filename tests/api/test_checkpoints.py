@@ -1,6 +1,5 @@
 """Changes from Python in checkpoints: a resumed run equals an uninterrupted one."""
 
-import logging
 import shutil
 
 import numpy as np
@@ -11,32 +10,11 @@ import granflow as gf
 from granflow.io.checkpoint import newest_checkpoint
 
 
-def scene(**output):
+def scene():
     """Particles above a floor, and a wall at their side."""
-    parts = {"interval": 2e-3, "timeseries_interval": 1e-3, "energy_budget": True} | output
+    parts = {"interval": 2e-3, "timeseries_interval": 1e-3, "energy_budget": True}
     positions = [[0.02 * k, 0.0, 0.0055] for k in range(3)]
     return beads(positions, [0.0, 0.0, -0.1], run={"duration": 0.01, "velocity_max": 1.0}, output=parts)
-
-
-def warn(snapshot):
-    if snapshot.time < 3e-3:
-        logging.getLogger("granflow").warning("early")
-
-
-def test_result_of_a_resumed_run_has_the_warnings_of_all_parts(tmp_path, taichi_f64):
-    """A warning in the first half, and one on the last value of a metric; the last resume takes no step."""
-    metrics = {"mix": {"kind": "lacey", "groups": ["beads"], "cell": 0.02, "at_least": 9}}
-    out = tmp_path / "run"
-    for until in (5e-3, None, None):
-        given = {
-            "out": out,
-            "resume": out if out.exists() else None,
-            "observers": [gf.on_interval(1e-3, warn)],
-        }
-        with gf.Simulation(scene(metrics=metrics), **given) as simulation:
-            simulation.run(until)
-        early, excluded = gf.read_run(out).result.warnings
-        assert early == "early" and excluded.startswith("output.metrics.mix: the Lacey index is NaN: all 3")
 
 
 def drag(position, velocity, radius, mass, time, parameters):

@@ -48,15 +48,6 @@ def test_run_in_parts_writes_the_files_of_one_run(tmp_path, whole):
     assert (tmp_path / "result.json").exists()
 
 
-def test_a_simulation_outside_of_a_with_block_is_finished_after_one_run(tmp_path, whole):
-    simulation = gf.Simulation(falling(), out=tmp_path)
-    simulation.run()
-    assert files_of(tmp_path) == whole
-    with pytest.raises(gf.GranflowError, match="are finished: put all runs"):
-        simulation.run(duration=1e-3)
-    simulation.free()
-
-
 @pytest.mark.parametrize("begin", [lambda s: s.run(until=0), lambda s: s.save()])
 def test_a_run_that_ended_at_its_start_can_be_resumed(tmp_path, whole, begin):
     with gf.Simulation(falling(), out=tmp_path) as simulation:

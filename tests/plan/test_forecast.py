@@ -251,7 +251,6 @@ PLATE = {
     "material": "glass",
 }
 BOX = {"box": {"min": [0.0, 0.0, 0.2], "max": [0.1, 0.1, 0.4]}}
-TUBE = {"cylinder": {"from": [0, 0, 0.3], "to": [0.1, 0, 0.3], "radius": 0.05}}
 TURN = {"kind": "rotation", "axis": [0, 1, 0], "point": [0, 0, 0.6], "angular_velocity": 0.5}
 DRUM = {"shape": "cylinder", "from": [0, -0.1, 0.6], "to": [0, 0.1, 0.6], "radius": 0.5, "material": "glass"}
 PUSH = {"kind": "servo", "direction": [0, 0, 1], "force": 1.0, "velocity_max": 0.1}
@@ -266,7 +265,6 @@ REACH = np.hypot(0.4, 0.1)
     ({"floor": FLOOR}, {"velocity": (3.0, 0.0, 0.0)}, 0.0, 0.2),
     ({"plate": PLATE}, {}, 0.0, 0.5),
     ({"floor": FLOOR}, {"region": BOX}, 0.0, 0.3),
-    ({"floor": FLOOR}, {"region": TUBE}, 0.0, 0.25),
     ({"floor": FLOOR | {"vanishes_at": 0.1}}, {}, 0.0, 1.3),
     ({"floor": FLOOR | {"motion": SHAKE}}, {}, 3.0 * GRAVITY / OMEGA, 0.2 + 2.0 * 3.0 * GRAVITY / OMEGA**2),
     ({"drum": DRUM | {"motion": TURN}}, {}, 0.25, 0.5 + 0.25**2 / GRAVITY),
@@ -275,7 +273,6 @@ REACH = np.hypot(0.4, 0.1)
     ({"floor": FLOOR | {"motion": RISE}}, {}, 0.1, 0.2 + 0.1),
     ({"floor": FLOOR}, {"run": {"duration": 1.0, "velocity_max": 0.5}}, None, None),
     ({"floor": FLOOR}, {"domain": DOMAIN | {"periodic": ["z"]}}, None, None),
-    ({}, {"domain": DOMAIN | {"on_exit": "expand"}}, None, None),
     ({"floor": FLOOR}, {"gravity": [0.0, 0.0, 0.0]}, None, None),
 ])  # fmt: skip
 def test_impact_forecast_falls_from_insertion_or_lifting_walls_to_the_lowest_wall(
