@@ -10,7 +10,6 @@ from docsite import (
     api_page,
     command_page,
     example_laws,
-    gallery,
     model_pages,
     model_pictures,
     quantity_pages,
@@ -100,12 +99,3 @@ def test_pictured_restitution_agrees_with_the_closed_form(name):
         restitution, _ = model_pictures.collide(law, pair, velocity)
         expected = law.restitution(pair, *example_laws.two_spheres(), velocity)
         assert restitution == pytest.approx(expected, abs=5e-3)
-
-
-def test_gallery_contains_every_scene_and_every_comparison():
-    page = gallery.page()
-    assert all(f"`{name}`" in page or f"granflow example {name}\n" in page for name in gallery.names())
-    for row in YAML(typ="safe").load(gallery.COMPARISONS):
-        assert " ".join(row["granflow"].split()) in page
-    pictures = set(re.findall(r"""[("]gallery/([\w.]+)[)"]""", page))
-    assert pictures == {path.name for path in gallery.PICTURES.iterdir()}

@@ -137,13 +137,13 @@ repeat: {seeds: 2}
 search:"""
     path = written(
         tmp_path, ("from: 0.3", "from: 0.45"), ("1 mJ, tolerance: 10 uJ", "0.89, tolerance: 0.01"),
-        ("search:", more), ("trials: 12", "trials: 18"),
+        ("search:", more), ("trials: 12", "trials: 16"),
     )  # fmt: skip
     out = tmp_path / "out"
     study = read_calibration(path)
     lines = []
     result = run_calibration(study, out, jobs=2, report=lines.append)
-    assert result.is_met and len(lines) == 18
+    assert result.is_met and len(lines) == 16
     friction, restitution = (each.value for each in result.parameters)
     assert (friction, restitution) == pytest.approx((0.27, 0.62), rel=0.05)
     assert not any(each.not_identified for each in result.parameters) and not result.conflicts
@@ -153,9 +153,9 @@ search:"""
     assert "raise repeat.seeds" in height.noise
     assert (out / "calibration.html").stat().st_size > 10_000
     assert f"friction: {friction!r}" in (out / "best.yaml").read_text()
-    assert len((out / "starts.txt").read_text().splitlines()) == 2 * 18
+    assert len((out / "starts.txt").read_text().splitlines()) == 2 * 16
     again = run_calibration(study, out, jobs=2, report=lines.append)
-    assert len(lines) == 18 and again.parameters == result.parameters
+    assert len(lines) == 16 and again.parameters == result.parameters
 
 
 def test_calibration_continues_after_a_full_disk_and_reports_conflicting_targets(

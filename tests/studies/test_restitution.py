@@ -10,7 +10,7 @@ from scene_builders import build_scene, particle_group, plane
 from granflow.cli.main import main
 from granflow.load import load_scene
 from granflow.plan.build import plan_for
-from granflow.studies.restitution import measure, name_of, pairings, warnings
+from granflow.studies.restitution import _impact, _reference_restitution, measure, name_of, pairings, warnings
 
 SCENES = Path(__file__).parents[2] / "scenes"
 STEEL = {"preset": "stainless_316"}
@@ -92,3 +92,18 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     lines = (tmp_path / "restitution.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "pair,velocity,requested,min_reached,max_reached,difference"
     assert len(lines) - 1 == capsys.readouterr().out.count("0.80000") == 2 * 13
+
+
+@pytest.mark.parametrize(("law", "restitution", "fraction", "largest"), [
+    ("zhou", 0.5, 0.05, 0.25), ("hertz", 0.8, 0.2, 1.7), ({"law": "linear", "stiffness": "onset"}, 0.8, 0.05, 0.25)
+])  # fmt: skip
+def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitution, fraction, largest):
+    """accuracy.md: largest deviation [%] of a collision over the phases of first contact."""
+    scene = build_scene(
+        {"beads": particle_group([[0, 0, 0.1], [0, 0, 0.2]])}, normal=law, pair={"restitution": restitution},
+        run={"duration": 1.0, "velocity_max": 1.0}, numerics={"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
+    )  # fmt: skip
+    plan = plan_for(scene)
+    impact = _impact(plan, next(iter(pairings(plan))), 1.0)
+    reached = [_reference_restitution(plan, impact, plan.time_step, phase) for phase in np.arange(16) / 16]
+    assert 100.0 * np.abs(np.array(reached) / restitution - 1.0).max() < largest

@@ -46,7 +46,7 @@ def settings(folder):
 
 def names_of_runs(folder):
     """Names of the run directories of a sweep of two points."""
-    text = SWEEP.replace("[0.5, 0.9, 1.2]", "[0.5]").replace("0.2, 0.4]", "0.2]")
+    text = SWEEP.replace("[0.5, 0.9, 1.2]", "[0.5]").replace("0.4]", "0.2]")
     (folder / "sweep.yaml").write_text(text)
     points = checked_points(read_sweep(folder / "sweep.yaml"), settings(folder))
     return [run.directory.name for _, runs in points for run in runs]
