@@ -129,39 +129,13 @@ def test_wall_takes_the_share_of_an_equal_sphere_and_returns_all(taichi_f64):
         assert liquid(after) == liquid(touching)
 
 
-def test_spheres_of_clumps_have_films_and_bridges_to_other_bodies_only(taichi_f64):
-    """The lower one of three spheres of a rod hits a fixed particle: it gives and gets liquid, the others keep their
-    film.
-
-    The films of a clump have the content of its volume, in which overlapping regions count once.
-    """
-    centers = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5 * DIAMETER], [0.0, 0.0, DIAMETER]]
-    body = clump_body(tuple(map(tuple, centers)), (0.5 * DIAMETER,) * 3)
-    height = ABOVE + DIAMETER + 2e-5 + 0.5 * DIAMETER
-    rod = clump_group(
-        [[0, 0, height]], centers, 0.5 * DIAMETER, velocity=[0, 0, -0.2], liquid_content=CONTENT
-    )
-    fixed = particle_group([[0, 0, ABOVE]], DIAMETER, liquid_content=0.5 * CONTENT) | {"fixed": True}
-    scene = wet_scene({"rod": rod, "fixed": fixed})
-    film, other = CONTENT * body.volume / 3.0, 0.5 * CONTENT * SPHERE
-    before, _ = run_to_end(scene, 0.00005)
-    np.testing.assert_allclose(films_of(before), [film, film, film, other], rtol=1e-12)
-    assert before.totals["liquid_bridge_volume"] == 0.0
-    touching, _ = run_to_end(scene, 0.00025)
-    rest, half = 1.0 - EQUAL, 0.5 * EQUAL * (film + other)
-    np.testing.assert_allclose(films_of(touching), [film * rest, film, film, other * rest], rtol=1e-12)
-    after, _ = run_to_end(scene, 0.02)
-    expected = [film * rest + half, film, film, other * rest + half]
-    np.testing.assert_allclose(films_of(after), expected, rtol=1e-12)
-    assert liquid(after) == liquid(touching) == liquid(before)
-
-
 def test_shaken_bed_conserves_liquid_exactly_and_spreads_it(taichi_f64):
     """The sum of films and bridges is the same number at all times after wet particles at the top have left, and
     bridges lose the work of their rupture.
 
     Wet and dry particles lie between periodic sides on a vibrating floor. Dry rain takes array entries of the
-    deleted particles, but no contacts from their lists.
+    deleted particles, but no contacts from their lists. The films of a clump have the content of its volume, in which
+    overlapping regions count once, and bridges to other bodies only.
     """
     rng = np.random.default_rng(3)
     lattice = 0.0045 * (np.argwhere(np.ones((5, 5, 4))) + [0.5, 0.5, 0.6])
@@ -173,6 +147,10 @@ def test_shaken_bed_conserves_liquid_exactly_and_spreads_it(taichi_f64):
     }  # fmt: skip
     up = lattice[lattice[:, 2] > 0.015] + [0.0, 0.0, 0.03]
     groups["leaving"] = particle_group(up, 0.004, velocity=[[0.0, 0.0, 2.5]] * 25, liquid_content=CONTENT)
+    centers = [[0.0, 0.0, 0.0], [0.0025, 0.0, 0.0], [0.005, 0.0, 0.0]]
+    rods = clump_group([[0.011, 0.005, 0.022], [0.011, 0.015, 0.022]], centers, 0.002, liquid_content=CONTENT)
+    groups["rods"] = rods
+    body = clump_body(tuple(map(tuple, centers)), (0.002,) * 3)
     groups["rain"] = {
         "material": "glass", "count": 10, "diameter": 0.004, "liquid_content": 0.0, "velocity": [0.0, 0.0, -1.0],
         "insert": {"kind": "rain", "region": {"box": {"min": [0.002, 0.002, 0.04], "max": [0.02, 0.02, 0.05]}},
@@ -187,7 +165,13 @@ def test_shaken_bed_conserves_liquid_exactly_and_spreads_it(taichi_f64):
     )  # fmt: skip
     snapshots = run_and_sample(scene, 0.002)
     start = liquid(snapshots[0])
-    assert start == pytest.approx((0.02 * 33 + CONTENT * 25) * SPHERE, rel=1e-12)
+    content = (0.02 * 33 + CONTENT * 25) * SPHERE + 2 * CONTENT * body.volume
+    assert start == pytest.approx(content, rel=1e-12)
+    assert snapshots[0].totals["liquid_bridge_volume"] == 0.0
+    film = snapshots[0].particles["liquid_film"][
+        snapshots[0].particles["group"] == list(groups).index("rods")
+    ]
+    np.testing.assert_allclose(film, [CONTENT * body.volume / 3.0] * 6, rtol=1e-12)
     gone = 25 + 1  # with the fixed particle, which is outside of the domain
     later = [each for each in snapshots if each.totals["deleted_count"] == gone and each.time > 0.02]
     assert later[-1].totals["inserted_count"] - snapshots[0].totals["inserted_count"] == 10
