@@ -244,18 +244,22 @@ def test_styles_of_liggghts_1_and_2_are_the_models_of_liggghts_3(tmp_path, pair,
     assert after == before
 
 
-@pytest.mark.parametrize(
-    ("what", "steps"),
-    [
-        *(("fix,g", 1100), ("fix,none", 100), ("region,box", 1100), ("group,all", 1100), ("group,few", 100)),
-        *(("variable,q", 1100), ("variable,none", 100), ("compute,c", 100)),
-    ],
-)
-def test_is_defined(tmp_path, what, steps):
-    """Whether a fix and so on exists at the line; 1000 steps more if it does."""
-    end = f"variable q equal is_defined({what})\nvariable n equal 100+1000*v_q\nrun $n"
-    _, scene = imported(tmp_path, liggghts(end=end))
-    assert to_si(scene["run"]["duration"], "time") == pytest.approx(1e-5 * steps)
+def test_is_defined(tmp_path):
+    """Whether a fix and so on exists at the line: more steps, by a power of two, for each that does."""
+    names = [
+        "fix,g",
+        "fix,none",
+        "region,box",
+        "group,all",
+        "group,few",
+        "variable,q0",
+        "variable,none",
+        "compute,c",
+    ]
+    lines = [f"variable q{k} equal is_defined({name})" for k, name in enumerate(names)]
+    total = "+".join(f"{2**k}*v_q{k}" for k in range(len(names)))
+    _, scene = imported(tmp_path, liggghts(end="\n".join([*lines, f"variable n equal {total}", "run $n"])))
+    assert to_si(scene["run"]["duration"], "time") == pytest.approx(1e-5 * (1 + 4 + 8 + 32))
 
 
 # Insertion

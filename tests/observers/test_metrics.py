@@ -11,28 +11,7 @@ from granflow.errors import SceneError
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.observers.metrics import MetricMeter, metric_meters
 from granflow.plan.build import plan_for
-from granflow.scene.blocks.metrics import (
-    METRIC_QUANTITIES,
-    CenterOfMassMetric,
-    CoordinationMetric,
-    OrientationMetric,
-    Reading,
-    anisotropy,
-    center_of_mass,
-    column_edge,
-    coordination,
-    deviatoric_stress,
-    dropped_share,
-    fabric_tensor,
-    granular_temperature,
-    lacey_index,
-    random_intensity,
-    segregation_intensity,
-    sliding_share,
-    slope_of_cone,
-    slope_of_plane,
-    stress_tensor,
-)
+from granflow.scene.blocks import metrics as metric
 from granflow.scene.blocks.primitives import Box
 from granflow.snapshot import WallPose
 
@@ -48,16 +27,18 @@ def test_lacey_index_of_segregated_and_of_random_beds():
     has the variance 2 / K, so the index scatters by sqrt(2 / K) / (n - 1). Cells with few particles are left out."""
     points = np.vstack([random_points(5000), [[0.5, 0.5, 1.5]]])
     left = np.append(points[:5000, 0] < 0.4, True)
-    assert lacey_index(points[:5000], left[:5000], CUBE, 10) == pytest.approx(0.0, abs=1e-12)
+    assert metric.lacey_index(points[:5000], left[:5000], CUBE, 10) == pytest.approx(0.0, abs=1e-12)
     tall = CoarseGrid((0.0,) * 3, (1.0, 1.0, 2.0), (5, 5, 10))
-    assert lacey_index(points, left, tall, 2) == lacey_index(points[:5000], left[:5000], tall, 2)
-    assert np.isnan(lacey_index(points, left, tall, 1000))
-    assert np.isnan(lacey_index(points, np.ones(5001, bool), tall, 2)), "undefined for a single kind"
+    assert metric.lacey_index(points, left, tall, 2) == metric.lacey_index(
+        points[:5000], left[:5000], tall, 2
+    )
+    assert np.isnan(metric.lacey_index(points, left, tall, 1000))
+    assert np.isnan(metric.lacey_index(points, np.ones(5001, bool), tall, 2)), "undefined for a single kind"
     big = np.vstack([0.5 * random_points(1000), np.full((8, 3), 0.75)])
     grid = CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 2, 2))
-    assert [dropped_share(big, np.arange(1008) < 1000, grid, least) for least in (8, 10)] == [0.0, 1.0]
+    assert [metric.dropped_share(big, np.arange(1008) < 1000, grid, least) for least in (8, 10)] == [0.0, 1.0]
     tenth = np.random.default_rng(1).random(5000) < 0.1
-    found = lacey_index(points[:5000], tenth, CUBE, 10)
+    found = metric.lacey_index(points[:5000], tenth, CUBE, 10)
     assert found == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 125.0) / 39.0)
 
 
@@ -71,13 +52,15 @@ def test_segregation_intensity_in_closed_form():
     volume = np.array([1.0, 3.0, 0.5, 0.5, 0.5, 0.5])
     is_first = np.array([1, 0, 1, 1, 1, 1], bool)
     grid = CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
-    assert segregation_intensity(points, volume, is_first, grid) == pytest.approx(0.5)
+    assert metric.segregation_intensity(points, volume, is_first, grid) == pytest.approx(0.5)
     # v_a = (1 + 4/4) / 3 = 2/3 and v_b = 3: I_R = 2 (3/2 + 1/3) / 6.
-    assert random_intensity(points, volume, is_first, grid) == pytest.approx(2.0 * (1.5 + 1.0 / 3.0) / 6.0)
+    assert metric.random_intensity(points, volume, is_first, grid) == pytest.approx(
+        2.0 * (1.5 + 1.0 / 3.0) / 6.0
+    )
     # The first particle alone: c = 1/6, v_a = 1 and v_b = (3^2 + 4/4) / 5 = 2: I_R = 2 (2/6 + 5/6) / 6.
-    assert random_intensity(points, volume, np.arange(6) == 0, grid) == pytest.approx(7.0 / 18.0)
-    assert np.isnan(segregation_intensity(points, volume, np.ones(6, bool), grid))
-    assert np.isnan(random_intensity(points, volume, np.ones(6, bool), grid))
+    assert metric.random_intensity(points, volume, np.arange(6) == 0, grid) == pytest.approx(7.0 / 18.0)
+    assert np.isnan(metric.segregation_intensity(points, volume, np.ones(6, bool), grid))
+    assert np.isnan(metric.random_intensity(points, volume, np.ones(6, bool), grid))
 
 
 def bed(angle, shape, length=0.1, spacing=0.0026):
@@ -95,13 +78,13 @@ def bed(angle, shape, length=0.1, spacing=0.0026):
 def test_slope_of_a_cone_of_known_angle():
     """Within half a degree and three standard errors of the fit."""
     points, radius = bed(np.radians(24.0), "cone")
-    slope = slope_of_cone(points, radius, 0.006, np.array([0.3, -0.2]))
+    slope = metric.slope_of_cone(points, radius, 0.006, np.array([0.3, -0.2]))
     assert 0.0 < slope.error < np.radians(0.5)
     assert slope.angle == pytest.approx(np.radians(24.0), abs=np.radians(0.5) + 3.0 * slope.error)
-    about_the_mean = slope_of_cone(points, radius, 0.006)
+    about_the_mean = metric.slope_of_cone(points, radius, 0.006)
     assert about_the_mean.angle == pytest.approx(slope.angle, abs=np.radians(0.5))
-    assert np.isnan(slope_of_plane(np.zeros((0, 3)), np.zeros(0), 0.01).angle), "without a heap"
-    assert np.isnan(slope_of_cone(np.zeros((1, 3)), np.ones(1), 0.01).angle)
+    assert np.isnan(metric.slope_of_plane(np.zeros((0, 3)), np.zeros(0), 0.01).angle), "without a heap"
+    assert np.isnan(metric.slope_of_cone(np.zeros((1, 3)), np.ones(1), 0.01).angle)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +104,7 @@ def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, l
     scatter /= np.linalg.norm(scatter)
     for share, is_slope in ((0.98 * limit, True), (1.02 * limit, False)):
         height = 0.5 * x + scatter * np.sqrt(share / (1.0 - share))  # the square sum of x / 2 is 1
-        slope = slope_of_plane(np.column_stack([x, y, height]), np.full(len(x), 0.5), 0.5)
+        slope = metric.slope_of_plane(np.column_stack([x, y, height]), np.full(len(x), 0.5), 0.5)
         assert not slope.reason if is_slope else reason in slope.reason
         assert slope.angle == pytest.approx(np.arctan(0.5)) if is_slope else np.isnan(slope.angle)
         if is_slope:  # of the gradient sqrt(S / (n - 3) / sum of x^2); d arctan(g) = dg / (1 + g^2)
@@ -138,9 +121,9 @@ def test_fabric_of_known_directions():
         ([0, -1, -1], [0.5, 0.0, 0.5], 0.5),
     ):
         contacts = {"position_i": 0.0 * directions, "position_j": directions, "wall": np.array(wall)}
-        np.testing.assert_allclose(fabric_tensor(contacts), np.diag(diagonal), atol=1e-15)
-        assert anisotropy(np.diag(diagonal)) == pytest.approx(expected)
-    assert anisotropy(np.eye(3) / 3.0) == pytest.approx(0.0, abs=1e-12)
+        np.testing.assert_allclose(metric.fabric_tensor(contacts), np.diag(diagonal), atol=1e-15)
+        assert metric.anisotropy(np.diag(diagonal)) == pytest.approx(expected)
+    assert metric.anisotropy(np.eye(3) / 3.0) == pytest.approx(0.0, abs=1e-12)
 
 
 def lattice_contacts(spacing, count, forces):
@@ -163,11 +146,11 @@ def test_stress_of_a_lattice_and_of_a_gas():
     contacts = lattice_contacts(a, 5, [2.0, 2.0, 5.0])
     region = Box(min=[0.3 * a, 0.6 * a, 0.9 * a], max=[2.3 * a, 3.6 * a, 1.9 * a])
     none = np.zeros(0), np.zeros((0, 3))
-    stress = stress_tensor(contacts, *none, region)
+    stress = metric.stress_tensor(contacts, *none, region)
     np.testing.assert_allclose(stress, -np.diag([2.0, 2.0, 5.0]) / a**2, rtol=1e-12, atol=1e-8)
-    assert deviatoric_stress(stress) == pytest.approx(3.0 / a**2)
+    assert metric.deviatoric_stress(stress) == pytest.approx(3.0 / a**2)
     cube = Box(min=[0.0] * 3, max=[a] * 3)
-    gas = stress_tensor(
+    gas = metric.stress_tensor(
         {name: each[:0] for name, each in contacts.items()},
         np.full(2, 3.0),
         np.array([[1.0, 2.0, 0.0], [-1.0, -2.0, 0.0]]),
@@ -194,12 +177,14 @@ def test_granular_temperature_is_that_of_the_fluctuations_without_their_mean():
     """
     velocity = np.array([[-1.0, 0, 0], [1, 0, 0], [8, 3, 0], [12, -3, 0]])
     mass = np.array([1.0, 1.0, 2.0, 2.0])
-    found = granular_temperature(velocity, mass, np.array([5, 5, 7, 7]))
+    found = metric.granular_temperature(velocity, mass, np.array([5, 5, 7, 7]))
     np.testing.assert_allclose(found, [(2 * 1 + 4 * 4) / 3, 4 * 9 / 3, 0.0], rtol=1e-14)
     mean = 40.0 / 6.0
     common = ((1 + mean) ** 2 + (1 - mean) ** 2 + 2 * (8 - mean) ** 2 + 2 * (12 - mean) ** 2) / 4.5
-    np.testing.assert_allclose(granular_temperature(velocity, mass, np.zeros(4, int))[0], common, rtol=1e-14)
-    assert np.isnan(granular_temperature(velocity, mass, np.arange(4))).all()
+    np.testing.assert_allclose(
+        metric.granular_temperature(velocity, mass, np.zeros(4, int))[0], common, rtol=1e-14
+    )
+    assert np.isnan(metric.granular_temperature(velocity, mass, np.arange(4))).all()
 
 
 @pytest.mark.parametrize(
@@ -210,16 +195,16 @@ def test_center_of_mass_of_sizes(limits, level):
     """Diameters 1, 2, 3 mm at heights 0, 1, 2 m with equal masses: below 3 mm 0.5 m, from 2 mm 1.5 m."""
     height = np.outer(np.arange(3.0), [0.0, 0.0, 1.0])
     particles = spheres_of(height, radius=np.array([0.5e-3, 1e-3, 1.5e-3]))
-    found = CenterOfMassMetric(**limits).measure(snapshot_of(particles=particles), None)
+    found = metric.CenterOfMassMetric(**limits).measure(snapshot_of(particles=particles), None)
     assert found.numbers["center_of_mass_z"] == pytest.approx(level)
 
 
 def test_sliding_share_of_particles_and_of_walls():
     contacts = {"wall": np.array([-1, -1, -1, 0, 0, 1]), "sliding": np.array([1, 0, 0, 1, 0, 1], np.uint8)}
-    assert sliding_share(contacts, None) == {"sliding_share": pytest.approx(1 / 3)}
-    assert sliding_share(contacts, [0]) == {"sliding_share": 0.5}
-    assert sliding_share(contacts, [0, 1]) == {"sliding_share": pytest.approx(2 / 3)}
-    assert np.isnan(sliding_share(contacts, [2])["sliding_share"])
+    assert metric.sliding_share(contacts, None) == {"sliding_share": pytest.approx(1 / 3)}
+    assert metric.sliding_share(contacts, [0]) == {"sliding_share": 0.5}
+    assert metric.sliding_share(contacts, [0, 1]) == {"sliding_share": pytest.approx(2 / 3)}
+    assert np.isnan(metric.sliding_share(contacts, [2])["sliding_share"])
 
 
 GROUPS = {
@@ -265,18 +250,18 @@ def test_scene_metrics_are_reported_by_name():
     snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
     meters = metric_meters(plan_for(scene))
     of_contacts = {"contacts": {"contacts"}, "sliding": {"contacts"}, "stress": {"particles", "contacts"}}
-    for metric, meter in meters.items():
+    for name, meter in meters.items():
         meter.update(snapshot)
-        assert list(meter.readings()) == [each.name for each in scene.output.metrics[metric].quantities]
-        assert set(meter.result()) <= set(METRIC_QUANTITIES)
-        assert meter.wants == of_contacts.get(metric, {"particles"})
+        assert list(meter.readings()) == [each.name for each in scene.output.metrics[name].quantities]
+        assert set(meter.result()) <= set(metric.METRIC_QUANTITIES)
+        assert meter.wants == of_contacts.get(name, {"particles"})
     values = [meters[name].readings()["lacey_index"] for name in selections]
     assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
     assert meters["particles"].readings()["coordination_number"] == 3.0
-    red = center_of_mass(particles["position"][kind == 0], particles["mass"][kind == 0])
+    red = metric.center_of_mass(particles["position"][kind == 0], particles["mass"][kind == 0])
     assert meters["red"].readings() == red != meters["center"].readings()
     octant = (particles["position"][kind == 0] // 0.5) @ [1, 2, 4]
-    heat = granular_temperature(particles["velocity"][kind == 0], particles["mass"][kind == 0], octant)
+    heat = metric.granular_temperature(particles["velocity"][kind == 0], particles["mass"][kind == 0], octant)
     assert list(meters["heat"].readings().values()) == pytest.approx([heat.mean(), *heat])
     inside = particles["position"][:, 0] <= 0.5
     volume = 4.0 / 3.0 * np.pi * (particles["radius"][inside] ** 3).sum()
@@ -296,7 +281,7 @@ def test_upward_direction_is_opposite_to_gravity():
 
 
 def test_mean_covers_the_last_stage_and_skips_nan():
-    readings = iter([Reading({"x": number}) for number in (9.0, 1.0, float("nan"), 2.0)])
+    readings = iter([metric.Reading({"x": number}) for number in (9.0, 1.0, float("nan"), 2.0)])
     meter = MetricMeter(lambda _: next(readings), frozenset())
     meter.update(snapshot_of(0.0, stage="fill"))
     for time in (1.0, 2.0):
@@ -356,20 +341,22 @@ def test_coordination_counts_the_contacts_of_a_clump_as_those_of_one_particle():
         np.outer([0.1, 0.3, 0.6, 1.1, 1.3], [1.0, 0.0, 0.0]), clump=np.array([0, 0, -1, 3, 3]),
         coordination_number=np.array([1, 1, 1, 0, 2]), wall_contact_count=np.array([0, 0, 0, 1, 0]),
     )  # fmt: skip
-    whole = CoordinationMetric().measure(snapshot_of(particles=particles), None)
+    whole = metric.CoordinationMetric().measure(snapshot_of(particles=particles), None)
     assert whole.numbers == pytest.approx({
         "coordination_number": 5.0 / 3.0, "mechanical_coordination_number": 2.0,
         "wall_coordination_number": 1.0 / 3.0, "rattler_share": 1.0 / 3.0,
     })  # fmt: skip
     region = Box(min=[0.0, -1.0, -1.0], max=[1.15, 1.0, 1.0])  # cuts the second rod, whose center is at 1.2
-    left = CoordinationMetric(region=region).measure(snapshot_of(particles=particles), None)
+    left = metric.CoordinationMetric(region=region).measure(snapshot_of(particles=particles), None)
     assert (left.numbers["coordination_number"], left.numbers["rattler_share"]) == (1.5, 0.5)
     # Six particles with 0, 1, 4, 4, 5 and 6 contacts: Zm = (20 - 1) / 4.
-    single = coordination(np.array([0, 1, 4, 4, 5, 6]), np.zeros(6, int))
+    single = metric.coordination(np.array([0, 1, 4, 4, 5, 6]), np.zeros(6, int))
     assert single["mechanical_coordination_number"] == 19 / 4
-    assert np.isnan(coordination(np.array([0, 1]), np.zeros(2, int))["mechanical_coordination_number"])
+    assert np.isnan(metric.coordination(np.array([0, 1]), np.zeros(2, int))["mechanical_coordination_number"])
     # A particle with one neighbor that rests on a wall carries a load; Zm counts its neighbor only.
-    assert coordination(np.array([1, 2, 0]), np.array([1, 0, 1]))["mechanical_coordination_number"] == 1.5
+    assert (
+        metric.coordination(np.array([1, 2, 0]), np.array([1, 0, 1]))["mechanical_coordination_number"] == 1.5
+    )
 
 
 def test_height_of_a_rough_bed_is_that_of_columns_of_two_diameters():
@@ -392,9 +379,9 @@ def test_height_of_a_rough_bed_is_that_of_columns_of_two_diameters():
 def test_width_of_columns_is_two_sauter_diameters():
     """Equal volumes of diameters 1 and 3: d32 is the harmonic mean 1.5; one ball of ten diameters among 10 000
     spheres widens the columns by (1 + 0.1) / (1 + 0.01)."""
-    assert column_edge(np.full(7, 0.3)) == 2.0 * 0.6
-    assert column_edge(np.array([0.5] * 27 + [1.5])) == pytest.approx(2.0 * 1.5)
-    assert column_edge(np.append(np.full(10_000, 0.5), 5.0)) == pytest.approx(2.0 * 1.1 / 1.01)
+    assert metric.column_edge(np.full(7, 0.3)) == 2.0 * 0.6
+    assert metric.column_edge(np.array([0.5] * 27 + [1.5])) == pytest.approx(2.0 * 1.5)
+    assert metric.column_edge(np.append(np.full(10_000, 0.5), 5.0)) == pytest.approx(2.0 * 1.1 / 1.01)
 
 
 @pytest.mark.parametrize("kind", ["lacey", "segregation"])
@@ -432,10 +419,9 @@ def test_orientation_of_parallel_and_of_random_rods():
     The inclination b has the density cos b on [0, pi/2]: mean pi/2 - 1, mean square pi^2/4 - 2.
     """
     scene = SimpleNamespace(gravity=(0.0, 0.0, -9.81), groups=("rods",), domain=SimpleNamespace(periodic=()))
-    metric = OrientationMetric()
 
     def found(axes):
-        return metric.measure(snapshot_of(particles=rods(axes)), scene).numbers
+        return metric.OrientationMetric().measure(snapshot_of(particles=rods(axes)), scene).numbers
 
     tilted = np.array([0.6, 0.0, 0.8])
     parallel = found(np.tile(tilted, (50, 1)) * np.where(np.arange(50) % 2, 1.0, -1.0)[:, None])
@@ -457,10 +443,10 @@ def test_orientation_across_a_periodic_boundary_and_of_bodies_without_an_axis():
     scene = SimpleNamespace(gravity=(0.0, 0.0, -9.81), groups=("rods",), domain=domain)
     particles = rods(np.array([[1.0, 0.0, 0.0]]))
     particles["position"] = np.array([[0.99, 0.5, 0.5], [0.0, 0.5, 0.5], [0.01, 0.5, 0.5]])
-    numbers = OrientationMetric().measure(snapshot_of(particles=particles), scene).numbers
+    numbers = metric.OrientationMetric().measure(snapshot_of(particles=particles), scene).numbers
     assert numbers["alignment_x"] == pytest.approx(1.0) and numbers["inclination"] == pytest.approx(0.0)
     corner = 0.5 + 0.01 * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    flat = OrientationMetric().measure(snapshot_of(particles=particles | {"position": corner}), scene)
+    flat = metric.OrientationMetric().measure(snapshot_of(particles=particles | {"position": corner}), scene)
     assert np.isnan(flat.numbers["order_parameter"]) and "no clumps with a longest axis" in flat.remark
 
 

@@ -89,13 +89,10 @@ def changed(**values):
 
 
 @pytest.mark.parametrize(("metric", "message"), [
-    (5, "metric is 5, but must be a subclass"),
     (gf.LaceyMetric, "a metric of the kind lacey exists"),
     (type("NoKind", (Metric,), {"__module__": __name__}), "it needs a field kind"),
-    (changed(quantities=()), "it needs quantities"),
     (changed(quantities=(Quantity("mean height", "", "m", "x"),)), "its quantity 'mean height' must have"),
     (changed(quantities=(Quantity("mass_flow", "", "kg/s", "x"),)), "mass_flow exists with another meaning"),
-    (changed(wants=frozenset({"contact"})), "its wants is frozenset"),
     (changed(measure=Metric.measure), r"it must define measure\(snapshot, scene\)")
 ])  # fmt: skip
 def test_invalid_metrics_are_refused(metric, message):

@@ -10,11 +10,10 @@ from observers.snapshots import particles_of, snapshot_of
 from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.meters import FlowCounter, WallForceMeter
 from granflow.observers.metrics import MetricMeter
-from granflow.observers.timeseries import CollisionEnergies, TimeSeries
+from granflow.observers.timeseries import TimeSeries
 from granflow.runs.result import Result
 from granflow.scene.blocks.metrics import Reading
-from granflow.scene.blocks.output import FlowMeter, unit_of
-from granflow.snapshot import Snapshot
+from granflow.scene.blocks.output import FlowMeter
 
 
 def rows_of(path):
@@ -141,19 +140,3 @@ def test_a_last_row_of_half_an_interval_or_of_another_stage_is_added(tmp_path, l
         series.observe(pushed(time))
     series.observe(pushed(last, stage))
     assert [float(row[0]) for row in rows_of(series.path)[1:]] == [*TIMES, last]
-
-
-def test_counts_of_collision_energies_continue_as_integers(tmp_path):
-    observer = CollisionEnergies(tmp_path, 1.0, np.array([1e-6, 1e-4]))
-    for time, count in ((0.0, 0), (1.0, 5)):
-        counts = {kind: np.full(3, count) for kind in ("particle", "wall")}
-        observer.observe(Snapshot(time, 0, "run", {}, None, {}, {}, {}, counts))
-    resumed = CollisionEnergies(tmp_path, 1.0, np.array([1e-6, 1e-4]))
-    resumed.load_state_dict(observer.state_dict())
-    counted = resumed.state_dict()["counted"].values()
-    assert [(each.dtype, each.tolist()) for each in counted] == [(np.int64, [5, 5, 5])] * 2
-
-
-def test_units_of_numbers():
-    names = ("kinetic_energy", "mass_flow.outlet", "flow_count.outlet", "timings.neighbor_list", "own_number")
-    assert [unit_of(name) for name in names] == ["J", "kg/s", "", "s", ""]

@@ -91,21 +91,6 @@ def test_walls_follow_their_pose_and_absent_walls_are_omitted(tmp_path):
     assert names == {"wall.floor": 0, "wall.gate": 1, "wall.belt": 2}
 
 
-def test_frame_that_cannot_be_written_leaves_the_series_unchanged(tmp_path, monkeypatch):
-    frames = ParticleFrames(tmp_path, 0.1)
-    frames.observe(snapshot_of(time=0.0))
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-
-    def half_of_the_file(path, mesh, compression):
-        path.write_bytes(b"half")
-        raise OSError("disk full")
-
-    monkeypatch.setattr(meshio.vtu, "write", half_of_the_file)
-    with pytest.raises(OSError, match="disk full"):
-        frames.observe(snapshot_of(time=0.1))
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
 @pytest.mark.parametrize(
     "damage", [lambda pvd: pvd.unlink(), lambda pvd: pvd.write_text("edited"), lambda pvd: None]
 )
