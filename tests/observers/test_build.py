@@ -1,13 +1,17 @@
-"""Observers are built from the output block of a plan; due times neither drift nor repeat."""
+"""Observers are built from the output block of a plan; due times; the progress display."""
+
+import io
 
 import numpy as np
 import pytest
+from observers.snapshots import snapshot_of
 from scene_builders import build_scene, particle_group, plane
 
 from granflow.errors import GranflowError
 from granflow.observers.build import observers_for
 from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
 from granflow.observers.observer import Schedule
+from granflow.observers.progress import ProgressDisplay
 from granflow.observers.timeseries import TimeSeries
 from granflow.plan.build import plan_for
 
@@ -53,3 +57,17 @@ def test_output_block_selects_the_observers(tmp_path):
     for observer in found[0]:
         observer._schedule.mark_done(0.0)
     assert [each.next_time() for each in found[0]] == [0.001, 0.01, 0.01]
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_display_shows_stage_and_rate(terminal):
+    output = io.StringIO()
+    output.isatty = lambda: terminal
+    display = ProgressDisplay([("fill", 1.0), ("settle", 2.0), ("discharge", 3.0)], output)
+    for step in range(600):
+        time = display.next_time()
+        display.observe(snapshot_of(time=time, step=step, stage="fill" if time < 1 else "settle"))
+    display.finish()
+    text = output.getvalue()
+    assert "fill" in text and "steps/s" in text
+    assert terminal or len(text.splitlines()) == 3, "first sample, new stage, end"

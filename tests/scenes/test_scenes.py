@@ -1,13 +1,13 @@
 """Shipped scenes satisfy their `expect:` blocks; large scenes are also tested in a reduced form."""
 
-from pathlib import Path
-
+import numpy as np
 import pytest
+from scene_runner import SCENES, run_shipped_scene
 
-from granflow import Simulation, load_scene
+from granflow import load_scene
 from granflow.cli.run import scene_paths
+from granflow.studies.yield_locus import ShearTest, YieldLocusEvaluation, shear_point
 
-SCENES = Path(__file__).parents[2] / "scenes"
 QUICK = ("through_flow", "unequal_spheres", "mfix_slip_to_roll")
 """Verification scenes that tests/physics does not check with smaller tolerances; the others are slow tests."""
 OTHERS = sorted({path.stem for path in (SCENES / "verification").glob("*.yaml")} - set(QUICK))
@@ -28,33 +28,42 @@ in height, as in a vertical cylinder. With other seeds, one or two of 300 partic
 still in the funnel after 0.3 s, also without rest damping (6 of 12 seeds)."""
 
 
-def unsatisfied(path, out, overrides=()):
-    """Run a scene; return the expectations that are not satisfied."""
-    simulation = Simulation(load_scene(path, ["output.interval=1000 s", *overrides]), threads=2, out=out)
-    result = simulation.run()
-    simulation.free()
-    assert result.expectations
-    return [sentence for sentence, met in result.expectations if not met]
+SHEAR_CELL = ("stages.0.duration=0.05 s", "stages.1.duration=0.02 s")
 
 
-@pytest.mark.parametrize("name", QUICK)
-def test_verification_scenes_satisfy_their_expectations(name, tmp_path, taichi_f64):
-    assert unsatisfied(SCENES / "verification" / f"{name}.yaml", tmp_path) == []
-
-
-def test_reduced_hopper_satisfies_its_expectations(tmp_path, taichi_f64):
-    assert unsatisfied(SCENES / "hopper.yaml", tmp_path, HOPPER) == []
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [*((f"verification/{name}", ()) for name in QUICK), ("hopper", HOPPER), ("shear_cell", SHEAR_CELL)],
+)
+def test_quick_and_reduced_scenes_satisfy_their_expectations(name, overrides, tmp_path, taichi_f64):
+    assert run_shipped_scene(name, tmp_path, overrides=overrides)[1] == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 @pytest.mark.parametrize("name", ["two_spheres", *(f"verification/{name}" for name in OTHERS), *LARGE])
 def test_large_and_other_scenes_satisfy_their_expectations(name, tmp_path, taichi_f64):
-    assert unsatisfied(SCENES / f"{name}.yaml", tmp_path) == []
+    assert run_shipped_scene(name, tmp_path)[1] == []
 
 
 def test_every_scene_has_a_description_and_expectations():
     for path in scene_paths().values():
         scene = load_scene(path)
-        assert scene.description, path
-        assert scene.expect, path
+        assert scene.description and scene.expect, path
+
+
+@pytest.mark.slow
+def test_cohesionless_preshear_of_the_shear_tester_has_the_friction_of_spheres(tmp_path, taichi_f64):
+    """Spheres with a friction of 0.5, without rolling friction and cohesion: shear over normal stress of steady
+    flow within 2 degrees of mu(I) of glass beads (Jop, Forterre & Pouliquen 2006), tan 20.9 deg for slow flow.
+    """
+    settings = (
+        "pairs={powder-powder: {restitution: 0.5, friction: 0.5}}",
+        "contact={normal: hertz, tangential: mindlin, rolling: none}",
+    )
+    assert run_shipped_scene("shear_tester", tmp_path, overrides=settings)[1] == []
+    evaluation = YieldLocusEvaluation.model_validate({"wall": "lid", "parameters": {"shear": "none"}})
+    normal, shear = shear_point(evaluation, ShearTest({}, 1, tmp_path, {})).preshear
+    assert normal == pytest.approx(5000.0, rel=0.01)
+    low, high = np.tan(np.radians([18.9, 22.9]))
+    assert low < shear / normal < high
