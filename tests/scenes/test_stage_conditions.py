@@ -88,20 +88,6 @@ def test_a_condition_that_is_not_satisfied_is_reported(taichi_f64):
         first_stage(press({"quantity": "queued_count", "above": 1}))
 
 
-def test_the_count_of_one_inserted_group_ends_a_stage(taichi_f64):
-    """Particles of a rain of 2000 per second are due at 0, 0.5, 1, ... ms: the fourth at 1.5 ms."""
-    rain = {"kind": "rain", "rate": 2000.0, "region": {"box": {"min": [0.05, 0, 0], "max": [0.15, 0.1, 0.1]}}}
-    feed = {"material": "glass", "count": 20, "diameter": 0.004, "insert": rain}
-    until = {"quantity": "inserted_count.feed", "above": 3}
-    scene = build_scene(
-        {"ball": particle_group([0, 0, RADIUS]), "feed": feed}, run={"velocity_max": 0.1}, output=ROWS,
-        stages=[{"name": "fill", "until": until, "max_duration": 0.05}],
-    )  # fmt: skip
-    end, _, result = first_stage(scene)
-    assert end == pytest.approx(1.5e-3, abs=1.5 * ROW)
-    assert result.totals["inserted_count.feed"] == result.insertion["feed"]["inserted_count"] == 4.0
-
-
 def test_a_stage_ends_when_particles_have_left(taichi_f64):
     """Spheres fall through the bottom of the domain at sqrt(2 h / g): the stage ends with the third of
     four. Particles are deleted at the next rebuild of the neighbor list."""
