@@ -107,7 +107,7 @@ def with_atoms(**parts):
         (liggghts(properties=HEATED, end="fix s all property/atom heatSource scalar yes no no 0.5\nrun 1"),
          "heatSource", "translated", "particles.NAME.heat_source"),
         (lammps(boundary="p p f", end=REGION.format("cylinder z 0.05 0.05 0.05 0 INF")), "boundary", "translated", "not periodic along x: region r is around"),
-        # In LAMMPS the surface has the velocity of a rotation by the axis as it is given.
+        # by the length of the axis
         (lammps(end=REGION.format("block 0 0.1 0 0.1 0 0.2 rotate v_t 0.05 0.05 0.1 0 3 4")), "region r", "approximated", "5 times as fast"),
         (lammps(end=REGION.format("block 0 0.1 0 0.1 0 0.2 move NULL NULL v_c")), "region r", "not possible", "c_c is a result"),
         # A rotation is given before a translation: in the script its axis is at rest.

@@ -87,6 +87,18 @@ def test_slope_of_a_cone_of_known_angle():
     assert np.isnan(metric.slope_of_cone(np.zeros((1, 3)), np.ones(1), 0.01).angle)
 
 
+def test_a_crest_in_the_region_is_a_curved_surface():
+    """A flank of 30 degrees with tops that scatter by a tenth of a column, alone and with a level crest as
+    long as the flank: the plane through both has about half of the gradient."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(20) + 0.5, np.arange(6) + 0.5))
+    for seed in range(20):
+        scatter = np.random.default_rng(seed).normal(0.0, 0.1, len(x))
+        for begin in (0.0, 10.0):
+            height = 20.0 - np.tan(np.radians(30.0)) * np.maximum(x - begin, 0.0) + scatter
+            slope = metric.slope_of_plane(np.column_stack([x, y, height]), np.full(len(x), 0.5), 1.0)
+            assert ("the surface is curved: the plane has 1" in slope.remark) is (begin > 0.0)
+
+
 @pytest.mark.parametrize(
     ("added", "limit", "reason"),
     [(0, 0.0025, "reach as much by chance"), (3, 0.2, "standard error of 25% of it, above 25%")],
