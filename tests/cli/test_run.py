@@ -140,12 +140,3 @@ def test_aborted_run_writes_its_last_state(tmp_path, run):
     assert code == 3
     assert "is outside the domain" in errors and f"(beads.yaml:{line_of('on_exit')})" in errors
     assert frames(tmp_path / "left")
-
-
-def test_invalid_scene_is_rejected_before_the_run(tmp_path, run):
-    code, _, errors = run("no", *changes("run.time_step=1 ms"))
-    assert code == 2
-    problem, count = errors.splitlines()
-    assert problem.startswith("--set run.time_step=1 ms: run.time_step is 0.001 s, above the stability limit")
-    assert problem.endswith(" s or remove it.") and count == "1 problem found."
-    assert not (tmp_path / "no").exists()

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -246,17 +245,11 @@ def run_on_ranks(ranks, *arguments):
     return on_ranks(ranks, "-m", "granflow", *arguments)
 
 
-@pytest.fixture
-def scene(tmp_path):
-    """File of the scene of a run, of which `whole` has the files of a run without MPI."""
-    path = resumable().save(tmp_path / "scene.yaml")
-    completed(alone("-m", "granflow", "run", path, "--out", tmp_path / "whole", "--threads", "1"))
-    return path
-
-
 @pytest.mark.slow
-def test_a_run_is_resumed_on_other_numbers_of_ranks(scene, tmp_path):
+def test_a_run_is_resumed_on_other_numbers_of_ranks(tmp_path):
     """At last a file of a rank is damaged: all ranks refuse it, then use the checkpoint before it."""
+    scene = resumable().save(tmp_path / "scene.yaml")
+    completed(alone("-m", "granflow", "run", scene, "--out", tmp_path / "whole", "--threads", "1"))
     parts = tmp_path / "parts"
     completed(alone("-m", "granflow", "run", scene, "--out", parts, "--until", "0.0008"))
     for ranks, until in ((2, "0.0013"), (1, "0.0017"), (3, "0.0024")):
@@ -270,38 +263,6 @@ def test_a_run_is_resumed_on_other_numbers_of_ranks(scene, tmp_path):
     assert files_of(parts) == files_of(tmp_path / "whole")
 
 
-@contextmanager
-def running(scene, out, *options):
-    """The process of mpirun and those of two ranks, after the first checkpoint."""
-    command = [rank_launcher.MPIRUN, "-n", "2", sys.executable, "-m", "granflow", "run", "--mpi", str(scene)]
-    with subprocess.Popen(
-        [*command, "--out", str(out), *options], env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    ) as launcher:  # fmt: skip
-        while not [*out.glob("checkpoint_*.npz")]:
-            assert launcher.poll() is None
-            time.sleep(0.01)
-        children = psutil.Process(launcher.pid).children(recursive=True)
-        ranks = [each for each in children if "python" in each.name()]
-        assert len(ranks) == 2
-        try:
-            yield launcher, ranks
-            launcher.wait(timeout=LONGEST_END)
-            assert not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in ranks)
-        finally:
-            for process in [each for each in ranks if each.is_running()]:
-                process.kill()
-
-
-@pytest.mark.slow
-def test_a_killed_rank_ends_all_within_seconds_and_the_run_is_resumed(scene, tmp_path):
-    parts = tmp_path / "parts"
-    with running(scene, parts) as (_, ranks):
-        os.kill(ranks[-1].pid, signal.SIGKILL)
-    assert not (parts / "result.json").exists(), "the run has not ended before the kill"
-    completed(run_on_ranks(3, "resume", parts, "--mpi"))
-    assert files_of(parts) == files_of(tmp_path / "whole")
-
-
 def rank_number(process):
     """Number of an MPI rank from the variables of Open MPI or MPICH."""
     variables = process.environ()
@@ -310,20 +271,43 @@ def rank_number(process):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("receives", "number"), [("mpirun", signal.SIGINT), ("ranks", signal.SIGTERM), ("rank 1", signal.SIGTERM)]
+    ("receives", "number"),
+    [
+        ("mpirun", signal.SIGINT),
+        ("ranks", signal.SIGTERM),
+        ("rank 1", signal.SIGTERM),
+        ("rank 1", signal.SIGKILL),
+    ],
 )
-def test_a_signal_writes_a_checkpoint_and_ends_all_within_seconds(scene, tmp_path, receives, number):
+def test_a_signal_ends_all_within_seconds_and_the_run_is_resumed(tmp_path, receives, number):
     """Ctrl-C in a terminal and mpirun signal all ranks, as batch systems do before the time limit of a job.
 
-    A signal to one rank other than the root stops all.
+    A signal to one rank other than the root, or its death, stops all.
     """
     if receives == "mpirun" and rank_launcher.is_open_mpi():
         pytest.skip("this mpirun kills the ranks")
     out = tmp_path / "out"
-    with running(scene, out, "--set", "stages.1.duration=50 s") as (launcher, ranks):
+    scene = resumable().save(tmp_path / "scene.yaml")
+    granflow = ["-m", "granflow", "run", scene, "--mpi", "--out", out, "--set", "stages.1.duration=50 s"]
+    command = [rank_launcher.MPIRUN, "-n", "2", sys.executable, *map(str, granflow)]
+    with subprocess.Popen(
+        command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as launcher:
+        while not [*out.glob("checkpoint_*.npz")]:
+            assert launcher.poll() is None
+            time.sleep(0.01)
+        children = psutil.Process(launcher.pid).children(recursive=True)
+        ranks = [each for each in children if "python" in each.name()]
+        assert len(ranks) == 2
         second = [each for each in ranks if rank_number(each) == 1]
-        for process in {"mpirun": [launcher], "ranks": ranks, "rank 1": second}[receives]:
-            os.kill(process.pid, number)
+        try:
+            for process in {"mpirun": [launcher], "ranks": ranks, "rank 1": second}[receives]:
+                os.kill(process.pid, number)
+            launcher.wait(timeout=LONGEST_END)
+            assert not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in ranks)
+        finally:
+            for process in [each for each in ranks if each.is_running()]:
+                process.kill()
     newest = newest_checkpoint(out)[0]
     completed(run_on_ranks(3, "resume", out, "--mpi", "--until", newest.time + 1e-3))
 

@@ -130,11 +130,21 @@ def resumed(home, out):
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_run_killed_at_a_write_resumes_bit_identically(home, whole, writes):
-    """About 25 writes of a run, including each of the first 15; one killed and resumed run for each."""
-    for number in [*range(1, 16), *range(16, writes + 1, max((writes - 15) // 10, 1))]:
-        out = home / f"write{number}"
-        killed = granflow(home, "run", "beads.yaml", "--out", out.name, fault=("kill", str(number)))
+@pytest.mark.parametrize("verb", ["run", "resume"])
+def test_process_killed_at_a_write_is_resumed_bit_identically(home, whole, writes, verb):
+    """At each of the first 12 writes of a run and of its continuation, which truncates files, and at about 12 more
+    of the run."""
+    numbers = range(1, 13)
+    if verb == "run":
+        numbers = [*numbers, *range(13, writes + 1, writes // 12)]
+    granflow(home, "run", "beads.yaml", "--out", "killed", fault=("kill", str(2 * writes // 3)))
+    for number in numbers:
+        out = home / f"{verb}{number}"
+        arguments = ["run", "beads.yaml", "--out", out.name]
+        if verb == "resume":
+            shutil.copytree(home / "killed", out)
+            arguments = ["resume", out.name]
+        killed = granflow(home, *arguments, fault=("kill", str(number)))
         assert killed.returncode == -signal.SIGKILL
         if (out / "scene_as_run.yaml").exists():
             resumed(home, out)
@@ -142,22 +152,7 @@ def test_run_killed_at_a_write_resumes_bit_identically(home, whole, writes):
             assert granflow(home, "resume", out.name).returncode == 2
             assert granflow(home, "run", "beads.yaml", "--out", out.name).returncode == 0
         assert_complete(out, whole)
-        shutil.rmtree(out)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_run_killed_during_resume_resumes_bit_identically(home, whole, writes):
-    """Resume truncates files; a resume killed during truncation can be repeated."""
-    out = home / "twice"
-    granflow(home, "run", "beads.yaml", "--out", "killed", fault=("kill", str(2 * writes // 3)))
-    for number in range(1, 13):
-        shutil.rmtree(out, ignore_errors=True)
-        shutil.copytree(home / "killed", out)
-        killed = granflow(home, "resume", out.name, fault=("kill", str(number)))
-        assert killed.returncode == -signal.SIGKILL
-        resumed(home, out)
-        assert_complete(out, whole)
+    shutil.rmtree(home / "killed")
 
 
 @pytest.mark.slow

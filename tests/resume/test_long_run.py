@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from scene_builders import box, build_scene, moving_lattice
+from scene_builders import build_scene, moving_lattice, vibrating_box
 from subprocess_runner import in_subprocess
 
 import granflow as gf
@@ -18,18 +18,17 @@ WARM_UP = 20
 
 def vibrated_bed():
     """64 particles in a box whose floor vibrates with 0.8 mm at 30 Hz, at 2.9 g."""
-    walls = box(0.028)
+    walls = vibrating_box(0.028)
     del walls["high_z"]
-    shaken = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 8e-4, "frequency": 30.0}
-    walls["low_z"]["motion"] = shaken
+    walls["low_z"]["motion"] |= {"amplitude": 8e-4, "frequency": 30.0}
+    interval = DURATION / 100
     return build_scene(
         {"balls": moving_lattice((4, 4, 4), largest=0.005, speed=0.1)}, walls,
         pair={"friction": 0.4, "restitution": 0.6}, gravity=[0.0, 0.0, -9.81],
         materials={"glass": {"young_modulus": 2e7, "poisson_ratio": 0.25, "density": 2500.0}},
         run={"duration": DURATION, "time_step": 5e-6, "velocity_max": 1.5},
         output={
-            "interval": DURATION / 100, "energy_budget": True, "contacts": True,
-            "checkpoint": {"interval": DURATION / 100, "keep": 2},
+            "interval": interval, "energy_budget": True, "contacts": True, "checkpoint": {"interval": interval, "keep": 2},
             "flow_meters": {"middle": {"point": [0, 0, 0.02], "normal": [0, 0, 1]}},
         },
     )  # fmt: skip
