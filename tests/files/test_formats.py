@@ -57,13 +57,16 @@ def test_files_of_vtk_are_read_in_every_mode(tmp_path):
         assert block.data.tolist() == [[n, n + 1, n + 2] for n in k[:-2]], path.name
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    (b"</Points>", b"", "cannot be read as VTU: "),
-    (b'NumberOfPoints="4"', b'NumberOfPoints="5"', "cannot reshape"),
-    (b'type="UnstructuredGrid"', b'type="ImageData"', "Expected type UnstructuredGrid"),
-    (b"</Piece>", b"</Piece><Piece />", "has 2 pieces"),
-    (b'NumberOfCells="2"', b'NumberOfCells="0"', "has no cells"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"</Points>", b"", "cannot be read as VTU: "),
+        (b'NumberOfPoints="4"', b'NumberOfPoints="5"', "cannot reshape"),
+        (b'type="UnstructuredGrid"', b'type="ImageData"', "Expected type UnstructuredGrid"),
+        (b"</Piece>", b"</Piece><Piece />", "has 2 pieces"),
+        (b'NumberOfCells="2"', b'NumberOfCells="0"', "has no cells"),
+    ],
+)
 def test_damaged_vtu_is_rejected(tmp_path, old, new, message):
     path = tmp_path / "a.vtu"
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
@@ -85,13 +88,16 @@ def test_negative_indices_of_obj_count_from_the_preceding_vertex(tmp_path):
     assert triangles.quad_count == 1
 
 
-@pytest.mark.parametrize(("face", "message"), [
-    ("f 1 2 0", "does not contain in line 4"),
-    ("f 1 2 9", "does not contain"),
-    ("f 1 2 x", "line 4 has the corner 'x'"),
-    ("f 1 2 3 1 2", "face of 5 corners in line 4"),
-    ("v 1 2", "line 4 needs three coordinates"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("face", "message"),
+    [
+        ("f 1 2 0", "does not contain in line 4"),
+        ("f 1 2 9", "does not contain"),
+        ("f 1 2 x", "line 4 has the corner 'x'"),
+        ("f 1 2 3 1 2", "face of 5 corners in line 4"),
+        ("v 1 2", "line 4 needs three coordinates"),
+    ],
+)
 def test_invalid_lines_of_obj_are_reported(tmp_path, face, message):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
     with pytest.raises(FormatError, match=message):

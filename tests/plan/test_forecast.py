@@ -179,7 +179,8 @@ LIFT = free_lid(force=5.0 * 0.05 * GRAVITY)
     (f"the bed is about {DISTANCE:.3g} m away.*Set velocity_max to 0.7[0-9]* m/s",
      bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, velocity_max=0.77))),
     ("the bed is about", bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, [LOWERING], velocity_max=0.1))),
-    ("the bed is about", bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, direction=[1, 0, 0], velocity_max=0.1))),
+    ("the bed is about", bed(walls=lid(1e5, velocity_max=0.1)),
+     bed(walls=lid(1e5, direction=[1, 0, 0], velocity_max=0.1))),
     # Without contacts a servo moves at gain F = 1e-3 m/(s N) 5.76 N: in 11.2 s, or in 0.1 s at a target of 643 N.
     (r"0.00576 m/s, gain times force.*target \(to 7.7e\+02 N.* give it 13 s", bed(walls=lid(**SLOW)),
      bed(walls=lid(770.0 / 0.024**2, **SLOW))),
