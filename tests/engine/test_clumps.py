@@ -16,6 +16,7 @@ from granflow.geometry.coarse_grid import CoarseGrid, GaussianKernel
 from granflow.load import Scene
 from granflow.observers.coarse_graining import accumulate, of_bodies
 from granflow.particles.insertion import initial_particles
+from granflow.runs.read_run import read_run
 from granflow.simulation import Simulation
 
 NUMERICS = {"chunk_size": 16, "max_overlap": 0.2}
@@ -127,6 +128,8 @@ def test_start_from_takes_clumps_with_their_orientation_and_motion(taichi_f64, t
         last = simulation.snapshot()
     volume = 2.0 * sum(group.shape.body.volume for group in scene.particles.values())
     assert result.numbers["content_volume.all"] == pytest.approx(volume, rel=1e-12), "overlaps count once"
+    in_file = read_run(tmp_path / "first").frames[-1].particles
+    assert in_file["mass"] == pytest.approx(last.particles["mass"], rel=1e-6), "radii are float32 in files"
     after = scene.to_dict() | {"start_from": str(tmp_path / "first")}
     with Simulation(Scene.from_dict(after), threads=2) as simulation:
         first = simulation.snapshot()

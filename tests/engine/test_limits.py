@@ -157,6 +157,19 @@ def test_without_a_limit_an_overlap_is_reported_and_the_run_goes_on(taichi_f64):
     assert limited[2] == [] and velocity == pytest.approx([0.0, 20.0], abs=0.02)
 
 
+def test_displacement_message_names_the_overlapping_partner(taichi_f64):
+    """The displacement in the first step from rest under F = k d^1.5 is F dt^2 / (2 m)."""
+    step, overlap = 6e-5, 0.0039
+    numerics = NUMERICS | {"max_overlap": 0.8, "skin": 5e-4}
+    run = {"duration": 0.01, "velocity_max": 20.0, "time_step": step}
+    pair = particle_group([[0.0, 0, 0], [0.0061, 0, 0]])
+    message = abort_message(among_valid(pair, numerics=numerics, run=run))
+    assert "particle 2 (glass, " in message and "and particle 3 (glass, " in message
+    assert number_after("overlapped by", message) == pytest.approx(overlap / 0.005, rel=1e-3)
+    moves = HERTZ * overlap**1.5 * step**2 / (2 * MASS)
+    assert number_after("moves", message) == pytest.approx(moves, rel=1e-2)
+
+
 def test_message_names_the_wall_that_appears_inside_of_a_particle_with_its_stage(taichi_f64):
     """The gate cuts one of two particles that touch, 1 mm below its center: an overlap of 0.8 radii."""
     gate = plane([0, 0, -0.001], [0, 0, 1], stages=["hold"])

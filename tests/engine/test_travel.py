@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group
 
-from granflow.errors import SceneError
+from granflow.errors import RunError, SceneError
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
@@ -62,6 +62,10 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, thin_walls):
         last = simulation.snapshot().particles
     assert np.all(np.sign(positions[:, 2]) * last["position"][:, 2] > RADIUS)
     assert np.all(np.sign(positions[:, 2]) * last["velocity"][:, 2] > 0.0)
+    with Simulation(scene) as simulation:  # the message considers the contacts with all walls
+        simulation.particles.velocity[:] = 1.12 * toward
+        with pytest.raises(RunError, match="m in one step of 1e-05 s, above the limit of 0.001 m"):
+            simulation.run(until=6e-4)
 
 
 ROTATION = {"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0]}
@@ -112,3 +116,18 @@ def test_the_chosen_step_respects_the_limit_at_the_planned_velocity():
     plan = plan_for(build_scene({"ball": ball}, materials={"glass": soft}, run=run))
     assert plan.time_step == pytest.approx(SHARE * RADIUS / 100.0, rel=1e-12)
     assert "0.2 of the smallest radius" in plan.step.limited_by
+
+
+def test_images_of_a_sheared_box_that_move_too_far_per_step_are_refused():
+    shear = {"flow": "x", "gradient": "y", "rate": 1.001 * FASTEST / 0.1}
+    domain = {
+        "min": [0] * 3,
+        "max": [0.1] * 3,
+        "periodic": ["x", "y"],
+        "on_exit": "error",
+        "lees_edwards": shear,
+    }
+    with pytest.raises(
+        SceneError, match="domain.lees_edwards moves the images at 100 m/s, which is 0.001 m per"
+    ):
+        plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, domain=domain, **FAST))

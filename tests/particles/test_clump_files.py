@@ -62,6 +62,7 @@ CASES = [
     ("x,y,z,r\n0,0,0,1e-3\n1e-3,0,0,-1\n", "stone.csv:3: the radius must be above 0."),
     ("x y z r\n0 0 0 1\n1; 0 0 1\n", "stone.csv:3: x is '1;', but a number is expected."),
     ("0 0 0 1\n1 0 0\n", "stone.csv:2: the row has 3 values, but x, y, z, r are expected."),
+    ("0 0 0 1\n1 0 0 1e300\n", "stone.csv:2: a length of this magnitude is out of range."),
     ("", "stone.csv: the file contains no spheres."),
     ("0 0 0 1\n" * 101, "particles.stones.clump.file is stone.csv, which cannot be used: it has 101 spheres"),
     (None, "particles.stones.clump.file is stone.csv, which cannot be used: there is no such file"),

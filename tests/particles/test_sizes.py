@@ -95,6 +95,8 @@ def test_sieve_curve_of_a_file(text, tmp_path):
 
 
 FAULTY_SIEVES = {
+    "": ": the table has no rows;",
+    "size [mm],passing [%]\n1,0\ninf,100\n": ":3: size [mm] is inf, but",
     "opening,passing\n1,1\n": ": a sieve curve has 2 to 1000 rows, and this table has 1.",
     "x,y\n1,0\n2,1\n": ":1: the columns are x, y, but opening and one of passing",
     "opening,passing [kg]\n1,0\n2,1\n": ":1: the unit of passing [kg] is invalid: ",
