@@ -14,7 +14,7 @@ OTHERS = sorted({path.stem for path in (SCENES / "verification").glob("*.yaml")}
 LARGE = (
     *("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse", "impact", "clumps", "mixer"),
     *(f"dosta2024/{name}" for name in ("silo_large_orifice", "silo_small_orifice", "drum", "penetration")),
-    "angle_of_repose",
+    *("angle_of_repose", "sheared_layer", "triaxial"),
 )
 HOPPER = (
     *("particles.beads.count=300", "numerics.max_overlap=0.2", "numerics.time_step_fraction=0.1"),
