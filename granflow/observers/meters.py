@@ -673,10 +673,17 @@ class WallForceMeter:
         The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes
         of the mean vectors; `wall_force_largest` [N], `wall_pressure_largest` [Pa] and `wall_power_largest`
         [W] are the largest magnitudes of means between two samples. Names of the values between the last two
-        samples end with `_last`.
+        samples end with `_last`. All are NaN if no time is between the first and the last sample.
         """
+        if not self._time:
+            return dict.fromkeys(self._results(NO_IMPULSE), nan)
         duration = self._time - self._stage_time
-        mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
+        return self._results(
+            (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
+        )
+
+    def _results(self, mean: np.ndarray) -> dict[str, float]:
+        """The results with a mean (8,) over the last stage."""
         found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
         found |= {f"{name}_last": value for name, value in self.readings().items()}
         found["wall_force_largest"] = self._max_force

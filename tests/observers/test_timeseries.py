@@ -113,6 +113,8 @@ def test_a_short_last_row_replaces_the_row_before_it(tmp_path):
     end = 0.300001
     for time in (*TIMES, end):
         series.observe(pushed(time))
+        lid = series.results_by_kind()["wall_forces"]["lid"]
+        assert np.isnan(list(lid.values())).all() == (time == 0.0), "one row has no mean force"
     results = series.results_by_kind()
     window = end - 0.2
     force = (8.0 * window + 1.0) / window
