@@ -208,7 +208,7 @@ def run(mutations: list[dict], results: Path, executed: Executed | None, argumen
             path = Path(folder, mutation["file"])
             source = path.read_text(encoding="utf-8")
             write_later(path, mutated(source, mutation))
-            tests = executed and executed.tests_of(mutation["file"], mutation["line"])
+            tests = executed.tests_of(mutation["file"], mutation["line"]) if executed else None
             chosen = any(each.startswith("tests") for each in arguments)
             order = [] if chosen else nearest_first(Path(folder), mutation["file"], tests)
             failed = failed_tests(Path(folder), [*arguments, *order]) if chosen or order else []

@@ -45,9 +45,9 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_number_of_contacts_at_edges(taichi_f64, name):
-    shapes, point, joined, apart = CASES[name]
+    shapes, point, joined, separate = CASES[name]
     assert len(contacts(assign_shared_edges(shapes, ["still"] * len(shapes)), point)) == joined
-    assert len(contacts(shapes, point)) == apart
+    assert len(contacts(shapes, point)) == separate
 
 
 def test_joined_shapes_keep_the_distance_around_a_convex_edge(taichi_f64):

@@ -172,8 +172,8 @@ def test_shaken_bed_conserves_liquid_exactly_and_spreads_it(taichi_f64):
         snapshots[0].particles["group"] == list(groups).index("rods")
     ]
     np.testing.assert_allclose(film, [CONTENT * body.volume / 3.0] * 6, rtol=1e-12)
-    gone = 25 + 1  # with the fixed particle, which is outside of the domain
-    later = [each for each in snapshots if each.totals["deleted_count"] == gone and each.time > 0.02]
+    deleted = 25 + 1  # with the fixed particle, which is outside of the domain
+    later = [each for each in snapshots if each.totals["deleted_count"] == deleted and each.time > 0.02]
     assert later[-1].totals["inserted_count"] - snapshots[0].totals["inserted_count"] == 10
     totals = {liquid(each) for each in later}
     assert len(later) > 15 and len(totals) == 1
