@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, particle_group
+from scene_builders import build_scene, particle_group, plane, run_to_end
 
 from granflow.errors import RunError, SceneError
 from granflow.plan.build import plan_for
@@ -131,3 +131,14 @@ def test_images_of_a_sheared_box_that_move_too_far_per_step_are_refused():
         SceneError, match="domain.lees_edwards moves the images at 100 m/s, which is 0.001 m per"
     ):
         plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, domain=domain, **FAST))
+
+
+def test_wall_that_moves_far_between_rebuilds_hits_a_particle_at_rest(taichi_f64):
+    """No particle moves, so that the wall alone requests the rebuilds; after an elastic impact v = 2 V."""
+    motion = {"kind": "translation", "velocity": [1, 0, 0]}
+    wall = plane([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]) | {"motion": [motion]}
+    last, _ = run_to_end(build_scene(
+        {"ball": particle_group([[0.05, 0.0, 0.0]])}, {"wall": wall}, {"restitution": 1.0},
+        run={"duration": 0.06, "velocity_max": 2.0}, numerics={"skin": 5e-4},
+    ))  # fmt: skip
+    assert last.particles["velocity"][0, 0] == pytest.approx(2.0, rel=1e-3)
