@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-import taichi as ti
 from api.scenes import beads, flying
 from scene_builders import particle_group
 
 import granflow as gf
+from granflow.kernel_language import ti
 
 MASS = 2500.0 * math.pi / 6.0 * 0.01**3
 OFF = {

@@ -44,6 +44,7 @@ def test_stale_lock_is_removed_and_an_unwritable_folder_replaced(tmp_path, monke
     """The lock of a process killed an hour ago would disable the cache; a lock in use stays."""
     monkeypatch.setenv("GRANFLOW_CACHE", str(tmp_path))
     lock = tmp_path / LOCKS[KERNELS]
+    lock.parent.mkdir(exist_ok=True)
     lock.touch()
     assert usable_folder() == tmp_path and lock.exists()
     os.utime(lock, (time.time() - 3600.0,) * 2)
