@@ -130,7 +130,8 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
         r"Cannot find source code for Object: .*", "could not get source code", rest
     )  # of Quadrants
     words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split()).rstrip(". ")
-    return f"{where}{words or type(error).__name__}{_remedy(error, words)}"
+    reason = _other_language(function) or f"{words or type(error).__name__}{_remedy(error, words)}"
+    return f"{where}{reason}"
 
 
 _POSITION = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>\d+), in \w+:\n.*\n')
@@ -142,6 +143,21 @@ def _is_library(file: str) -> bool:
     package = Path(__file__).parent
     library = Path(kernel_language.ti.__file__).parent
     return any(folder in Path(file).parents for folder in (package, library))
+
+
+def _other_language(function: Callable[..., Any]) -> str:
+    """Sentence on a device function that uses the kernel language that does not run, or empty."""
+    used = kernel_language.KERNELS
+    other = "quadrants" if used == "taichi" else "taichi"
+    plain = unwrap(getattr(function, "func", function))
+    known = getattr(plain, "__globals__", {})
+    for name in getattr(getattr(plain, "__code__", None), "co_names", ()):
+        if getattr(known.get(name), "__name__", "") == other:
+            return (
+                f"{name} is {other}, but granflow runs with {used}: write import {used} as {name}, or set "
+                f"GRANFLOW_KERNELS={other}"
+            )
+    return ""
 
 
 def _remedy(error: Exception, words: str) -> str:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from inspect import getsourcelines
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from api.scenes import flying
@@ -10,6 +11,7 @@ from api.scenes import flying
 import granflow as gf
 from granflow.contact.law import CohesionLaw, ContactModel
 from granflow.device_functions import ti
+from granflow.kernel_language import KERNELS
 from granflow.scene.registration import unregister_contact_model
 
 
@@ -32,9 +34,22 @@ def scene(**more):
     return flying([[0.0] * 3, [0.0, 0.0099, 0.0]], [0.0] * 3, **more)
 
 
+OTHER = "taichi" if KERNELS == "quadrants" else "quadrants"
+other_ti = ModuleType(OTHER)
+"""Stands in for a kernel language that is imported, but does not compile the functions."""
+
+
+def foreign(position, velocity, radius, mass, time, parameters):
+    return mass * other_ti.sqrt(velocity)
+
+
 @pytest.mark.parametrize(("function", "line", "reason"), [
     (undefined, 2, 'Name "viscosity" is not defined; give numbers of the program in `parameters`'),
     (nothing, 0, "the function must return a vector of three components [N]"),
+    (
+        foreign, 1, f"other_ti is {OTHER}, but granflow runs with {KERNELS}: write import {KERNELS} as other_ti, "
+        f"or set GRANFLOW_KERNELS={OTHER}",
+    ),
 ])  # fmt: skip
 def test_force_that_cannot_be_compiled(taichi_f64, function, line, reason):
     force = gf.ParticleForce(function, {"viscosity": 1.0})
