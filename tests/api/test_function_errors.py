@@ -36,7 +36,7 @@ def scene(**more):
 
 OTHER = "taichi" if KERNELS == "quadrants" else "quadrants"
 other_ti = ModuleType(OTHER)
-"""Stands in for a kernel language that is imported, but does not compile the functions."""
+"""A kernel language that a program imports, but that does not compile its functions."""
 
 
 def foreign(position, velocity, radius, mass, time, parameters):
