@@ -118,7 +118,8 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
     """
     text = str(error)
     positions = [each for each in _POSITION.finditer(text) if not _is_library(each["file"])]
-    code = getattr(unwrap(getattr(function, "func", function)), "__code__", None)
+    plain = unwrap(getattr(function, "func", function))
+    code = getattr(plain, "__code__", None)
     where = f"{code.co_filename}:{code.co_firstlineno}: " if code else ""
     if positions:
         where = f"{positions[-1]['file']}:{positions[-1]['line']}: "
@@ -130,7 +131,7 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
         r"Cannot find source code for Object: .*", "could not get source code", rest
     )  # of Quadrants
     words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split()).rstrip(". ")
-    reason = _other_language(function) or f"{words or type(error).__name__}{_remedy(error, words)}"
+    reason = _other_language(plain) or f"{words or type(error).__name__}{_remedy(error, words)}"
     return f"{where}{reason}"
 
 
@@ -148,14 +149,13 @@ def _is_library(file: str) -> bool:
 def _other_language(function: Callable[..., Any]) -> str:
     """Sentence on a device function that uses the kernel language that does not run, or empty."""
     used = kernel_language.KERNELS
-    other = "quadrants" if used == "taichi" else "taichi"
-    plain = unwrap(getattr(function, "func", function))
-    known = getattr(plain, "__globals__", {})
-    for name in getattr(getattr(plain, "__code__", None), "co_names", ()):
-        if getattr(known.get(name), "__name__", "") == other:
+    known = getattr(function, "__globals__", {})
+    for name in getattr(getattr(function, "__code__", None), "co_names", ()):
+        module = getattr(known.get(name), "__name__", "")
+        if module in kernel_language.LANGUAGES and module != used:
             return (
-                f"{name} is {other}, but granflow runs with {used}: write import {used} as {name}, or set "
-                f"GRANFLOW_KERNELS={other}"
+                f"{name} is {module}, but granflow runs with {used}: write import {used} as {name}, or set "
+                f"{kernel_language.VARIABLE}={module}"
             )
     return ""
 

@@ -675,22 +675,15 @@ class WallForceMeter:
         [W] are the largest magnitudes of means between two samples. Names of the values between the last two
         samples end with `_last`. All are NaN if no time is between the first and the last sample.
         """
-        if not self._time:
-            return dict.fromkeys(self._results(NO_IMPULSE), nan)
         duration = self._time - self._stage_time
-        return self._results(
-            (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
-        )
-
-    def _results(self, mean: np.ndarray) -> dict[str, float]:
-        """The results with a mean (8,) over the last stage."""
+        mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
         found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
         found |= {f"{name}_last": value for name, value in self.readings().items()}
         found["wall_force_largest"] = self._max_force
         if self.area is not None:
             found["wall_pressure_largest"] = self._max_normal_force / self.area
         found["wall_power_largest"] = self._max_power
-        return found
+        return found if self._time else dict.fromkeys(found, nan)
 
     def state_dict(self) -> dict[str, Any]:
         """Return all private attributes."""

@@ -13,9 +13,9 @@ import numpy as np
 
 from granflow.fields import HOLD_UP
 from granflow.io.tables import RESIDENCE_FILE, RowFile
-from granflow.observers.meters import FlowCounter, Passages, StageRows
+from granflow.observers.meters import FlowCounter, Passages, StageRows, bodies_of
 from granflow.scene.blocks.output import ResidenceTime
-from granflow.snapshot import Snapshot, body_ids
+from granflow.snapshot import Snapshot
 
 _PARTICLE = ("id", "group", "material", "diameter [m]", "mass [kg]")
 _PASSAGE = ("time [s]", "direction", "residence_time [s]", *_PARTICLE)
@@ -167,17 +167,16 @@ class ResidenceTimes:
     def _count_residing(self, snapshot: Snapshot) -> list[float]:
         """Number and mass [kg] of particles present that have entered and not left; forgets those that were
         deleted."""
-        particles = snapshot.particles
-        body = body_ids(particles)
-        present = set(body.tolist())
+        particles = bodies_of(snapshot.particles)
+        present = set(particles["id"].tolist())
         if self.begins_at is not None:
             self._entered = {number: time for number, time in self._entered.items() if number in present}
-            resides = np.isin(body, list(self._entered))
+            resides = np.isin(particles["id"], list(self._entered))
         else:
             self._left &= present
             resides = self._counts(particles["group"], particles["insertion_time"])
-            resides &= ~np.isin(body, list(self._left))
-        return [len(np.unique(body[resides])), fsum(particles["mass"][resides].tolist())]
+            resides &= ~np.isin(particles["id"], list(self._left))
+        return [int(resides.sum()), fsum(particles["mass"][resides].tolist())]
 
     def readings(self) -> dict[str, float]:
         """Return the numbers of HOLD_UP at the last row."""
