@@ -15,8 +15,17 @@ from typing import Any
 import numpy as np
 from clumps import clump_group
 from geometry.meshes import cube, write
-from resume.runs import complex_scene
-from scene_builders import DASHPOTS, LIQUID, SOFT, SPRINGS, box, build_scene, moving_lattice, particle_group
+from scene_builders import (
+    DASHPOTS,
+    LIQUID,
+    SOFT,
+    SPRINGS,
+    box,
+    build_scene,
+    moving_lattice,
+    particle_group,
+    plane,
+)
 from sheared_scenes import sheared_gas
 
 from granflow.load import Scene
@@ -44,6 +53,80 @@ class Row:
 
 SIDE = {"side": {"box": {"min": [0.05, 0.0, 0.0], "max": [0.07, 0.06, 0.03]}}}
 """Outlet that deletes particles before they leave the domain."""
+
+
+MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
+
+
+def complex_scene(duration=0.02, of_groups=None, **parts):
+    """Rain into a vibrated box above a falling lattice; two materials, three stages, chunks of 32 particles.
+
+    Friction, rolling springs, the energy budget, collision energies, a flow meter, fields and metrics are
+    enabled. A row of fixed particles lies in the gate, which is removed after the first stage; an inlet
+    inserts particles through a face. The floor and one side wall are removed after the second stage;
+    particles are deleted at `domain.max` before they reach that wall.
+
+    of_groups:  further keys of all groups
+    """
+    walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
+    walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
+    walls["high_x"]["stages"] = ["fill", "shake"]
+    walls["gate"] = plane([0, 0, 0.02], [0, 0, 1], "glass", stages=["fill"])
+    rng = np.random.default_rng(4)
+    positions = 0.0065 * (np.argwhere(np.ones((7, 7, 3))) + 0.75) + [0.011, 0.0, 0.021]
+    lattice = particle_group(
+        positions,
+        rng.uniform(0.004, 0.006, len(positions)),
+        velocity=rng.normal([0.8, 0.0, -0.6], 0.5, positions.shape),
+    )
+    region = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
+    rain = {
+        "material": "steel", "count": 60, "diameter": 0.005,
+        "insert": {"kind": "rain", "region": region, "rate": 8000.0},
+    }  # fmt: skip
+    row = particle_group(0.006 * np.argwhere(np.ones((9, 1, 1))) + [0.004, 0.03, 0.02], 0.005, "steel") | {
+        "fixed": True
+    }
+    classes = [{"diameter": 0.003, "fraction": 2}, {"diameter": 0.004, "fraction": 1}]
+    inlet = {
+        "material": "glass", "velocity": [1.0, 0.0, 0.0],
+        "diameter": {"distribution": "classes", "by": "mass", "classes": classes},
+        "insert": {
+            "kind": "inlet", "mass_flow": 0.08, "stages": ["shake"],
+            "face": {"disc": {"center": [0.001, 0.05, 0.052], "normal": [1, 0, 0], "radius": 0.006}},
+        },
+    }  # fmt: skip
+    stage_duration = duration / 3.0
+    defaults = {
+        "walls": walls, "rolling": "epsd", "normal": "zhou",
+        "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
+        "gravity": [0.0, 0.0, -9.81], "numerics": {"chunk_size": 32, "max_overlap": 0.3},
+        "run": {"velocity_max": 2.0, "time_step": 4e-6},
+        "stages": [
+            {"name": "fill", "duration": stage_duration}, {"name": "shake", "duration": stage_duration},
+            {"name": "out", "duration": stage_duration},
+        ],
+        "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "on_exit": "delete"},
+        "output": {
+            "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy_budget": True, "contacts": True,
+            "wall_forces": True,
+            "checkpoint": {"interval": duration / 11.0, "keep": 100},
+            "flow_meters": {
+                "gate": {"point": [0.03, 0.03, 0.03], "normal": [0, 0, -1]},
+                "outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1], "passages": True},
+            },
+            "residence_time": {"from": "gate", "to": "outlet"},
+            "metrics": {
+                "mix": {"kind": "lacey", "cell": 0.02, "at_least": 4, "groups": ["rain"]}, "web": {"kind": "fabric"},
+            },
+            "fields": {"bed": {"cell": 0.01, "stages": ["shake", "out"]}},
+            "collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14},
+        },
+    }  # fmt: skip
+    groups = {"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}
+    return build_scene(
+        {name: group | (of_groups or {}) for name, group in groups.items()}, **(defaults | parts)
+    )
 
 
 def moved_walls() -> Scene:
