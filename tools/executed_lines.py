@@ -24,7 +24,8 @@ FOLDER = Path(os.environ.get("GRANFLOW_EXECUTED", "executed"))
 
 
 def inlined_functions(kernels: dict[int, set[str]]) -> dict[str, set[int]]:
-    """Note the functions of each kernel in `kernels`; returns the kernels launched per test, see `record`."""
+    """Note the functions of each kernel in `kernels`, by its id; returns the ids of the kernels that each test
+    launches."""
     from taichi.lang import kernel_impl
 
     launched: dict[str, set[int]] = defaultdict(set)

@@ -11,7 +11,8 @@ appends the tests that fail; a repetition goes on where the last one ended. Test
 of the error run first, then those of its part; with `-x` among the arguments, `run` thus soon knows whether
 an error is detected. With the files of `tools/executed_lines.py`, only tests run that execute the line of the
 error or inline its device function; an error on a line that no test executes survives at once, and one on a
-line outside of functions concerns all tests that execute another line of the module. `cover` names the tests
+line outside of functions concerns all tests that execute another line of the module. The tests must pass
+without an error, which only a run without these files verifies first. `cover` names the tests
 that suffice for all detected errors, by their time (a file written by `pytest --durations=0
 --durations-min=0`), and the rate of detection.
 """
@@ -172,8 +173,8 @@ class Executed:
                 inside = True
                 first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
                 found |= self._functions[f"{file}:{first}"]
-            if isinstance(node, ast.stmt) and not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-                if node.lineno <= line <= (node.end_lineno or 0) and not hasattr(node, "body"):
+            elif isinstance(node, ast.stmt) and not hasattr(node, "body"):
+                if node.lineno <= line <= (node.end_lineno or 0):
                     found |= self._lines[f"{file}:{node.lineno}"]
         found |= self._lines[f"{file}:{line}"]
         if not inside:
