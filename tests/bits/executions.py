@@ -4,10 +4,10 @@
 
 host:   one worker, two workers, more workers than the pool has threads, other chunks and skin, resumed from three
         checkpoints
-usual:  those of `host` that find most errors
+usual:  some of `host`, see USUAL
 gpu:    the code path of a GPU on the CPU, with fields in several trees
-long:   with the kernels that are compiled for long runs
-forked: with the kernel language Quadrants, which `test_bits` selects
+long:   with the kernels that are compiled for long runs; other chunks and skin
+forked: with the kernel language Quadrants, which `test_bits` selects; other chunks and skin
 ranks:  on the MPI ranks of mpirun
 
 FOLDER/EXECUTION/SCENE contains the files of each run and `state.npz`, its state at the end.
@@ -38,10 +38,18 @@ RESUMED = ("resumed_1", "resumed_4", "resumed_8")
 HOST = ("one", "two", "lists", "begun", *RESUMED, "pool")
 """Executions of `host` in their order, the reference first; `begun` continues a run that was stopped before
 its first step."""
-USUAL = ("one", "two", "lists", "begun", "resumed_4")
-"""Executions of the usual test run."""
 FOR_CHANGE = ("one", "two", "lists", RESUMED[-1], "pool")
 """Executions of a scene with a change, which the earlier checkpoints do not contain."""
+USUAL = {
+    "walls": ("one", "begun", "resumed_4"),
+    "clumps": ("one", "begun", "resumed_4"),
+    "films": ("one", RESUMED[-1]),
+    "heat": ("one", "lists", "begun", "resumed_4"),
+}
+"""Executions of the usual test run by scene: begun and resumed runs have two workers; those with other kernels have
+other lists, too, for which kernels are compiled in any case."""
+OTHER_LISTS = ("lists", "gpu", "long", "forked")
+"""Executions with other chunks than the reference."""
 SINGLE_WORKER_PARTICLES = threads.SINGLE_WORKER_PARTICLES
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
 """Number of workers that exceeds the number of threads in Taichi's pool."""
@@ -57,9 +65,9 @@ def main(execution, folder, names):
 
 def host_executions(name, usual=False):
     """Executions of a scene in `host`, or in `usual`, in their order."""
-    if SCENES[name].change is not None:
-        return FOR_CHANGE
-    return USUAL if usual else HOST
+    if usual:
+        return USUAL[name]
+    return HOST if SCENES[name].change is None else FOR_CHANGE
 
 
 def on_host(name, folder, usual=False):
@@ -68,11 +76,10 @@ def on_host(name, folder, usual=False):
     threads.SINGLE_WORKER_PARTICLES = SINGLE_WORKER_PARTICLES  # above the number of particles
     run(name, folder / "one", row.build(), 2)
     threads.SINGLE_WORKER_PARTICLES = 0
-    run(name, folder / "two", row.build(), 2)
-    scene = row.build()
-    deletes = scene.outlets or scene.domain.on_exit == "delete"
-    skin = None if deletes else 6e-4  # particles are deleted at rebuilds
-    run(name, folder / "lists", with_lists(scene, 7, skin), 2)
+    if "two" in executions:
+        run(name, folder / "two", row.build(), 2)
+    if "lists" in executions:
+        run(name, folder / "lists", with_lists(row.build(), 7), 2)
     if "begun" in executions:
         begin(name, folder)
     for execution in RESUMED:
@@ -92,11 +99,11 @@ def on_gpu(name, folder):
 
 def for_long(name, folder):
     cost.OPTIMIZED_ABOVE = 0.0
-    run(name, folder / "long", SCENES[name].build(), 1)
+    run(name, folder / "long", with_lists(SCENES[name].build(), 7), 1)
 
 
 def with_fork(name, folder):
-    run(name, folder / "forked", SCENES[name].build(), 2)
+    run(name, folder / "forked", with_lists(SCENES[name].build(), 7), 2)
 
 
 def on_ranks(name, folder):
@@ -118,12 +125,12 @@ def on_ranks(name, folder):
     )
 
 
-def with_lists(scene, chunk_size, skin=None):
-    """The scene with another chunk size and another skin [m]; None: that of the scene."""
+def with_lists(scene, chunk_size):
+    """The scene with another chunk size, and another skin unless that changes when particles are deleted."""
     changed = scene.to_dict()
     changed["numerics"]["chunk_size"] = chunk_size
-    if skin is not None:
-        changed["numerics"]["skin"] = skin
+    if not scene.outlets and scene.domain.on_exit != "delete":
+        changed["numerics"]["skin"] = 6e-4
     return Scene.from_dict(changed)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from clumps import clump_group
+from clumps import clump_group, falling_clumps
 from geometry.meshes import cube, write
 from scene_builders import (
     DASHPOTS,
@@ -197,18 +197,7 @@ VISCOUS_BRIDGES = {"law": "capillary", **VISCOUS}
 def wet_clumps() -> Scene:
     """Rods, tetrahedra and spheres with viscous bridges of fixed volume fall into a box that is periodic along x;
     rain of clumps; damping; gravity jumps to a table, and random particles that touch the floor are deleted."""
-    rng = np.random.default_rng(8)
-    sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
-    velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
     corners = 1.2e-3 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    rods = clump_group(sites[:16], velocity=velocity, angular_velocity=rng.normal(0, 50, (16, 3)))
-    others = clump_group(sites[16:], corners, 1.5e-3, "random", "steel", velocity=velocity)
-    balls = particle_group(0.012 * np.argwhere(np.ones((3, 3, 1))) + [0.01, 0.01, 0.035], 0.005)
-    region = {"box": {"min": [0.002, 0.002, 0.042], "max": [0.052, 0.052, 0.054]}}
-    rain = {
-        "material": "steel", "count": 12, "clump": others["clump"], "velocity": [0.0, 0.0, -0.5],
-        "insert": {"kind": "rain", "region": region, "rate": 1500.0},
-    }  # fmt: skip
     contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": VISCOUS_BRIDGES}
     walls = {name: wall for name, wall in box(0.055).items() if not name.endswith("x")}
     domain = {"min": [0.0, -0.01, -0.01], "max": [0.055, 0.065, 0.065], "periodic": ["x"], "on_exit": "error"}
@@ -217,7 +206,7 @@ def wet_clumps() -> Scene:
     deletions = [{"region": at_floor, "part": "any", "fraction": 0.6}, {"groups": ["balls"], "fraction": 0.2}]
     tilt = {"name": "tilted", "duration": 0.006, "gravity": tilted, "delete": deletions}
     return build_scene(
-        {"rods": rods, "others": others, "balls": balls, "rain": rain}, walls, contact=contact, domain=domain,
+        falling_clumps(corners, 1.5e-3), walls, contact=contact, domain=domain,
         pair={"friction": 0.4, "restitution": 0.4, "surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 1e-10},
         gravity=[0.0, 0.0, -100.0], numerics={"chunk_size": 32, "max_overlap": 0.2},
         stages=[{"name": "fall", "duration": 0.006}, tilt],

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rank_launcher
-from bits.executions import RESUMED, host_executions
+from bits.executions import OTHER_LISTS, RESUMED, host_executions
 from bits.scenes import QUICK, SCENES
 from resume.runs import files_of, states_of
 
@@ -65,7 +65,7 @@ def differences(folder, execution, scene):
         for name in (expected.keys() | found.keys()) - NOT_COMPARED
         if not np.array_equal(expected.get(name), found.get(name), equal_nan=True)
     }
-    if execution in ("gpu", "lists"):  # frames there have zeros of other signs
+    if execution in OTHER_LISTS:  # frames have zeros of other signs
         return sorted(arrays)
     reference, files = (files_of(folder / each / scene) for each in ("one", execution))
     assert len(files) > 3
@@ -86,7 +86,7 @@ def skip_if_missing(kind):
 
 
 def check_host(folder, scenes, kind):
-    """Workers, more of them than threads of the pool, other lists, and runs resumed from checkpoints.
+    """Workers, in slow tests more than threads of the pool, other lists, and runs resumed from checkpoints.
 
     The features of the scenes have had effects in the reference, over several rebuilds.
     """
@@ -116,7 +116,7 @@ def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
     check_host(folder, list(QUICK), "usual")
 
 
-OTHER_KERNELS = {"gpu": "clumps", "long": "heat", "forked": "walls"}
+OTHER_KERNELS = {"gpu": "clumps", "long": "films", "forked": "walls"}
 """Scene of the usual test run by kind of execution that compiles other kernels; for ranks: `mpi/test_ranks`."""
 
 

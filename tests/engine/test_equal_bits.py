@@ -1,4 +1,5 @@
-"""Outputs, snapshots, stage boundaries and the form in which radius and mass are stored do not change the motion."""
+"""Outputs, snapshots, stage boundaries, friction coefficients of 0 and the form in which radius and mass are stored
+do not change the motion."""
 
 import numpy as np
 import pytest
@@ -27,12 +28,16 @@ def assert_equal(first, second):
     assert first.totals == second.totals
 
 
-def gas(lattice, **parts):
-    """A lattice in a box with a vibrating floor, friction and gravity."""
+FAR = {"far": plane([0, 0, -0.5], [0, 0, 1], "steel")}
+"""A wall out of reach; with it, scenes without output and those with friction have the same kernels."""
+
+
+def gas(lattice, friction=0.4, far=None, **parts):
+    """A lattice in a box with a vibrating floor, friction and gravity; `far`: walls that it does not reach."""
     run = {"duration": 4e-3, "velocity_max": 4.0, "time_step": 4e-6}
     return build_scene(
-        {"gas": lattice}, walls=vibrating_box(0.042), pair={"friction": 0.4, "restitution": 0.7}, run=run,
-        gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 16}, **parts,
+        {"gas": lattice}, walls=vibrating_box(0.042) | (far or {}), pair={"friction": friction, "restitution": 0.7},
+        run=run, gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 16}, **parts,
     )  # fmt: skip
 
 
@@ -55,7 +60,7 @@ def end_in_parts(scene, snapshots):
 def test_outputs_and_snapshots_do_not_change_the_motion(taichi_f64):
     """Energy budget, wall forces and collision energies are extras, without which their arrays do not exist."""
     lattice = moving_lattice((6, 6, 3), largest=0.006, speed=0.5)
-    plain, full = gas(lattice, output={"interval": 1.0}), gas(lattice, output=ALL)
+    plain, full = gas(lattice, far=FAR, output={"interval": 1.0}), gas(lattice, output=ALL)
     end = end_in_parts(full, 0)
     assert_equal(end, end_in_parts(full, 2))
     assert end.collisions["particle"].sum() > 10 and abs(end.totals["energy_error"]) < 1e-3
@@ -63,6 +68,18 @@ def test_outputs_and_snapshots_do_not_change_the_motion(taichi_f64):
     assert without.impulses == without.collisions == {} and "energy_error" not in without.totals
     for name, values in without.particles.items():
         np.testing.assert_array_equal(values, end.particles[name], err_msg=name)
+
+
+def test_friction_coefficient_0_is_bit_identical_to_disabled_friction(taichi_f64):
+    """A rough wall out of reach enables friction; all pairs in contact have the coefficient 0."""
+    lattice = moving_lattice((6, 6, 3), largest=0.006, speed=0.5)
+    rough = {"glass-steel": {"restitution": 0.8, "friction": 0.5}}
+    scenes = gas(lattice, 0.0, FAR), gas(lattice, 0.0, FAR, pairs=rough)
+    assert [plan_for(scene).laws.names["tangential"] for scene in scenes] == ["none", "mindlin"]
+    without, idle = (run_to_end(scene)[0].particles for scene in scenes)
+    for name in ("position", "velocity", "force"):
+        np.testing.assert_array_equal(idle[name], without[name])
+    assert not idle["angular_velocity"].any()
 
 
 def test_radius_and_mass_of_equal_spheres_as_two_numbers_give_the_bits_of_arrays(taichi_f64, monkeypatch):
