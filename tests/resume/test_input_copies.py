@@ -1,11 +1,11 @@
 """Input files from anywhere: a run keeps copies of them, from which it continues on another machine."""
 
+import json
 import shutil
 
 import pytest
 from geometry.meshes import cube, write
-from plan.scenes import TEXT
-from resume.runs import files_of
+from resume.runs import balls, files_of
 
 from granflow.cli.main import main
 from granflow.load import copied_scene, load_scene, scene_of
@@ -14,22 +14,20 @@ from granflow.runs.run_directory import RunDirectory
 
 @pytest.fixture
 def scene(tmp_path):
-    """A scene with a table and particles from outside of its own folder."""
+    """The scene `balls` with a table and particles from outside of its own folder."""
+    here = tmp_path / "here"
     for name in ("scenes", "tables", "filled"):
-        (tmp_path / "here" / name).mkdir(parents=True)
-    (tmp_path / "here" / "tables" / "lift.csv").write_text("time [ms],displacement [mm]\n0,0\n20,-1\n")
+        (here / name).mkdir(parents=True)
+    (here / "tables" / "lift.csv").write_text("time [ms],displacement [mm]\n0,0\n20,-1\n")
     beads = "x,y,z,r\n0.005,0.004,0.0025,0.002\n0.015,0.004,0.0025,0.002\n"
-    (tmp_path / "here" / "filled" / "beads.csv").write_text(beads)
-    insert = TEXT[TEXT.index("    count: 10\n") : TEXT.index("\ndomain:")]
-    text = TEXT.replace(insert, "    insert: {kind: file, file: ../filled/beads.csv}")
-    lid = "{shape: plane, point: [0, 0, 0.03], normal: [0, 0, -1], material: glass, motion: {kind: table, file: "
-    text = text.replace(
-        "particles:\n", f"  lid: {lid}../tables/lift.csv, direction: [0, 0, 1]}}}}\nparticles:\n"
-    )
-    path = tmp_path / "here" / "scenes" / "beads.yaml"
-    path.write_text(
-        text.replace("duration: 50 ms", "duration: 4 ms").replace("interval: 10 ms", "interval: 1 ms")
-    )
+    (here / "filled" / "beads.csv").write_text(beads)
+    given = balls(run={"duration": 4e-3, "time_step": 1e-5, "velocity_max": 1.0}).to_dict()
+    insertion = {"kind": "file", "file": "../filled/beads.csv"}
+    given["particles"] = {"beads": {"material": "glass", "insert": insertion}}
+    table = {"kind": "table", "file": "../tables/lift.csv", "direction": [0, 0, 1]}
+    given["walls"]["lid"]["motion"] = [table]
+    path = here / "scenes" / "beads.yaml"
+    path.write_text(json.dumps(given))
     return path
 
 
