@@ -14,11 +14,11 @@ from granflow.cli.process import compiling_shown
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices of POSIX")
 
-SCHEMA = [sys.executable, "-m", "granflow", "schema"]
+CACHE = [sys.executable, "-m", "granflow", "cache"]
 LONG = "from granflow.cli.process import standard_streams\nwith standard_streams(): print('x\\n' * 10**6)"
 
 
-@pytest.mark.parametrize(("command", "lines"), [(SCHEMA, 0), ([sys.executable, "-c", LONG], 1)])
+@pytest.mark.parametrize(("command", "lines"), [(CACHE, 0), ([sys.executable, "-c", LONG], 1)])
 def test_a_pipe_that_is_closed_ends_the_command_silently(command, lines):
     """At once, or after the first line, as by `head`."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -31,7 +31,7 @@ def test_a_pipe_that_is_closed_ends_the_command_silently(command, lines):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="requires /dev/full of Linux")
 def test_full_disk_is_reported_in_one_sentence():
     with open("/dev/full", "w") as full:
-        process = subprocess.run(SCHEMA, stdout=full, stderr=subprocess.PIPE, text=True)
+        process = subprocess.run(CACHE, stdout=full, stderr=subprocess.PIPE, text=True)
     assert (process.returncode, process.stderr) == (2, "granflow: <stdout>: No space left on device.\n")
 
 
