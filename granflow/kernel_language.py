@@ -7,15 +7,12 @@ it.
 """
 
 import os
-import platform
-import re
-from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from granflow.errors import GranflowError
+from granflow.processors import unknown_to_taichi
 from granflow.taichi_patches import shorten_front_end, shorten_front_end_of_quadrants
 
 VARIABLE = "GRANFLOW_KERNELS"
@@ -64,37 +61,14 @@ def __getattr__(name: str) -> Any:
     return module
 
 
-# The processors that Taichi's compiler knows
-
-PROCESSORS = {"GenuineIntel": range(3, 16), "AuthenticAMD": range(4, 26)}
-"""Families of x86 processors that LLVM 15, the compiler in Taichi 1.7, knows by vendor."""
-
-
-def processor_text() -> str:
-    """What the operating system says of the processor: on Linux cpuinfo, on Windows the identifier."""
-    with suppress(OSError):
-        return Path("/proc/cpuinfo").read_text()
-    return f"{platform.processor()} {os.environ.get('PROCESSOR_IDENTIFIER', '')}"
-
-
-def family_in(text: str) -> tuple[str, int] | None:
-    """Vendor and family of an x86 processor in its text, such as ("AuthenticAMD", 26); None without them."""
-    vendor = re.search(r"GenuineIntel|AuthenticAMD|HygonGenuine", text)
-    family = re.search(r"\bfamily\s*:?\s*(\d+)", text, re.IGNORECASE)
-    return (vendor[0], int(family[1])) if vendor and family else None
-
-
 def slower_than_quadrants() -> str:
-    """A sentence for users whose processor Taichi's compiler does not know; empty in all other cases.
-
-    For such a processor, LLVM optimizes for x86 without AVX: two numbers per instruction in place of four.
-    """
-    found = family_in(processor_text())
-    if KERNELS != "taichi" or found is None or found[1] in PROCESSORS.get(found[0], ()):
+    """A sentence for users whose processor Taichi's compiler does not know; empty in all other cases."""
+    unknown = unknown_to_taichi()
+    if KERNELS != "taichi" or unknown is None:
         return ""
     install = "" if find_spec("quadrants") else "pip install quadrants, then "
     return (
-        f"The compiler of Taichi does not know this processor ({found[0]}, family {found[1]}) and uses half "
-        f"of its vectors. With Quadrants, steps are 1.2 to 1.6 times as fast: {install}"
+        f"The compiler of Taichi does not know this processor ({unknown[0]}, family {unknown[1]}) and uses "
+        f"half of its vectors. With Quadrants, steps are 1.2 to 1.6 times as fast: {install}"
         f"granflow run --kernels quadrants, or {VARIABLE}=quadrants."
     )

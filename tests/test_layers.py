@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
 LAYERS = (
-    "errors", "arguments", "taichi_patches", "kernel_language", "device_functions", "visible_text", "units",
+    "errors", "arguments", "processors", "taichi_patches", "kernel_language", "device_functions", "visible_text", "units",
     "fields", "snapshot", "schema", "io", "geometry", "contact", "scene", "particles", "load", "plan",
     "engine", "parallel", "observers", "runs", "live", "simulation", "studies", "importing", "cli", "__main__"
 )  # fmt: skip

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from granflow.errors import GranflowError
+from granflow.processors import is_faster_with_taichi
 from granflow.visible_text import visible, visible_line
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ def add_kernels(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--kernels",
         choices=("taichi", "quadrants"),
-        help="language of the compute kernels (default: quadrants if it is installed; on CUDA taichi)",
+        help="language of the compute kernels (default: quadrants if it is installed, but taichi on CUDA and "
+        "on Intel processors)",
     )
 
 
@@ -118,16 +120,17 @@ def select_kernels(options: argparse.Namespace) -> None:
 
     It is that of --kernels. The default is Quadrants where it is installed: it gives the same bits, starts
     sooner where nothing is compiled yet, and is faster on processors that the compiler of Taichi does not
-    know. CUDA is used with Taichi, with which all checks passed on a GPU; and so are programs, which do not
-    come here, because their functions may contain those of the module taichi. Raises GranflowError if this
-    process already uses another kernel language.
+    know. Taichi is used on processors on which its steps are faster, and on CUDA, where all checks passed
+    with it; and so are programs, which do not come here, because their functions may contain those of the
+    module taichi. Raises GranflowError if this process already uses another kernel language.
     """
     name = getattr(options, "kernels", None)
     language = sys.modules.get("granflow.kernel_language")
     if name is None:
         is_open = language is None and not os.environ.get("GRANFLOW_KERNELS")
-        on_cuda = getattr(options, "arch", "cpu") in ("gpu", "cuda")
-        if is_open and not on_cuda and find_spec("quadrants"):
+        arch = getattr(options, "arch", "cpu")
+        with_taichi = arch in ("gpu", "cuda") or (arch == "cpu" and is_faster_with_taichi())
+        if is_open and find_spec("quadrants") and not (with_taichi and find_spec("taichi")):
             os.environ["GRANFLOW_KERNELS"] = "quadrants"
         return
     if language is not None and name != language.KERNELS:

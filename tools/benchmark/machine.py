@@ -8,7 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from granflow.kernel_language import KERNELS, family_in, processor_text
+from granflow.kernel_language import KERNELS
+from granflow.processors import family_in, processor_text
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
