@@ -2,12 +2,12 @@
 
 A `Quantity` defines a column or an array of an output file. The tables below list the arrays of particles,
 contacts, grids and walls, and the numbers of a run, its flow meters, outlets, groups and walls; a metric has
-its quantities in its class in `scene.blocks.metrics`. Headings, units in messages and pages of the
-documentation come from them. A property of the particles is a `FieldSpec`, which also says how the property
-is stored on the device.
+its quantities in its class in `scene.blocks.metrics`, and `scene.run_numbers` says which numbers a run of a
+scene has. Headings, units in messages and pages of the documentation come from them. A property of the
+particles is a `FieldSpec`, which also says how the property is stored on the device.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -1007,3 +1007,80 @@ RUN_QUANTITIES = by_name(
     )
 )
 """Numbers of a whole run, in the result."""
+METRIC_QUANTITIES: dict[str, Quantity] = {}
+"""Numbers of each metric of the bed, and their means over the last stage; the kinds of metrics add them."""
+TIMING_QUANTITIES = by_name((Quantity("timings", "", "s", "wall-clock time of a phase of the run"),))
+"""Numbers of each phase of a run."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartQuantities:
+    """Quantities that a run has for each part of one kind; QUANTITY.PART as in `mass_flow.outlet`.
+
+    kind:        of the parts, in messages
+    quantities:  by name
+    part:        what follows the point, in messages
+    in_rows:     whether rows of the time series have the quantity of a name; all of them are in the result
+    """
+
+    kind: str
+    quantities: Mapping[str, Quantity]
+    part: str
+    in_rows: Callable[[str], bool] = lambda name: True
+
+
+METRIC_PARTS = PartQuantities(
+    "metric", METRIC_QUANTITIES, "the name of a metric", lambda name: not name.endswith("_mean")
+)
+FLOW_METER_PARTS = PartQuantities(
+    "flow meter",
+    FLOW_METER_QUANTITIES,
+    "the name of a flow meter",
+    lambda name: not name.endswith(("_error", "_deviation", "_mean")),
+)
+STAGE_PARTS = PartQuantities("stage", STAGE_QUANTITIES, "the name of a stage", lambda name: False)
+OUTLET_PARTS = PartQuantities("outlet", OUTLET_QUANTITIES, "the name of an outlet")
+RESIDENCE_PARTS = PartQuantities(
+    "flow meter", RESIDENCE_QUANTITIES, "the name of the flow meter `to`", lambda name: name in HOLD_UP
+)
+INSERTION_PARTS = PartQuantities(
+    "inserted group",
+    INSERTION_QUANTITIES,
+    "the name of a particle group",
+    lambda name: name == "inserted_count",
+)
+WALL_FORCE_PARTS = PartQuantities(
+    "wall",
+    WALL_FORCE_QUANTITIES,
+    "the name of a wall",
+    lambda name: name not in ("wall_force", "wall_torque") and not name.endswith(("_largest", "_last")),
+)
+CONTROLLED_WALL_PARTS = PartQuantities("wall moved by forces", WALL_QUANTITIES, "the name of a wall")
+WALL_FLOW_PARTS = PartQuantities(
+    "wall that gives heat to particles", WALL_FLOW_QUANTITIES, "the name of a wall"
+)
+WEAR_PARTS = PartQuantities("worn wall", WEAR_QUANTITIES, "the name of a wall")
+TIMING_PARTS = PartQuantities("phase", TIMING_QUANTITIES, "forces or another phase", lambda name: False)
+PART_KINDS = (
+    METRIC_PARTS, FLOW_METER_PARTS, STAGE_PARTS, OUTLET_PARTS, RESIDENCE_PARTS, INSERTION_PARTS,
+    WALL_FORCE_PARTS, CONTROLLED_WALL_PARTS, WALL_FLOW_PARTS, WEAR_PARTS, TIMING_PARTS,
+)  # fmt: skip
+"""All kinds of parts; if two have a quantity of one name, messages name the first."""
+
+
+def parts_with(quantity: str) -> Iterator[PartQuantities]:
+    """The kinds of parts that have a quantity of this name."""
+    return (each for each in PART_KINDS if quantity in each.quantities)
+
+
+def whole_quantity(name: str) -> Quantity | None:
+    """Definition of a number of the whole run, or of its last stage; None if there is none of this name."""
+    return TOTAL_QUANTITIES.get(name) or STAGE_QUANTITIES.get(name) or RUN_QUANTITIES.get(name)
+
+
+def quantity_of(name: str) -> Quantity | None:
+    """Definition of a number of a run with the name QUANTITY or QUANTITY.PART; None if there is none."""
+    quantity, point, _ = name.partition(".")
+    if not point:
+        return whole_quantity(name)
+    return next((each.quantities[quantity] for each in parts_with(quantity)), None)

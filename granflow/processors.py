@@ -3,7 +3,6 @@
 The command line asks before it imports a kernel language. Measurements: `tools/benchmark/README.md`.
 """
 
-import platform
 import re
 from contextlib import suppress
 from os import environ
@@ -17,6 +16,8 @@ def processor_text() -> str:
     """What the operating system says of the processor: on Linux cpuinfo, on Windows the identifier."""
     with suppress(OSError):
         return Path("/proc/cpuinfo").read_text()
+    import platform  # takes some ms, which every command would wait for
+
     return f"{platform.processor()} {environ.get('PROCESSOR_IDENTIFIER', '')}"
 
 

@@ -11,9 +11,7 @@ from granflow.fields import (
     CONTACT_QUANTITIES,
     ENERGY_BUDGET_QUANTITIES,
     PARTICLE_QUANTITIES,
-    TOTAL_QUANTITIES,
-    WALL_FLOW_QUANTITIES,
-    WEAR_QUANTITIES,
+    quantity_of,
 )
 from granflow.visible_text import html_table, numbered, readable
 
@@ -143,9 +141,8 @@ class Snapshot:
                     (f"{kind}[{name!r}]", f"{values.shape}{_range(values)}{f' {unit}' * (unit != '1')}")
                 )
         rows.append(("walls", ", ".join(self.walls) or "none"))
-        known = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES, **WEAR_QUANTITIES}
         for name, number in self.totals.items():
-            quantity = known.get(name.partition(".")[0])
+            quantity = quantity_of(name)
             unit = "1" if quantity is None else quantity.unit
             rows.append((f"totals[{name!r}]", f"{readable(number)}{f' {unit}' * (unit != '1')}"))
         count = max((len(values) for values in self.particles.values()), default=0)

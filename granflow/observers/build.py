@@ -8,7 +8,7 @@ import numpy as np
 
 from granflow.arguments import path_of, refuse_other, shown
 from granflow.errors import GranflowError
-from granflow.fields import FIELD_QUANTITIES
+from granflow.fields import FIELD_QUANTITIES, METRIC_QUANTITIES
 from granflow.geometry.coarse_grid import GaussianKernel
 from granflow.geometry.periodic_box import AXES
 from granflow.io.files import BackgroundWriter
@@ -23,7 +23,6 @@ from granflow.observers.progress import ProgressDisplay
 from granflow.observers.timeseries import CollisionEnergies, TimeSeries
 from granflow.plan.build import plan_for
 from granflow.plan.plan import Plan
-from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.snapshot import CONTACTS, Snapshot
 
 if TYPE_CHECKING:

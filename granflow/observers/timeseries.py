@@ -13,22 +13,18 @@ import numpy as np
 
 from granflow.fields import (
     FLOW_METER_QUANTITIES,
-    INSERTION_QUANTITIES,
-    OUTLET_QUANTITIES,
+    METRIC_QUANTITIES,
     RESIDENCE_QUANTITIES,
     TOTAL_QUANTITIES,
-    WALL_FLOW_QUANTITIES,
     WALL_FORCE_QUANTITIES,
-    WALL_QUANTITIES,
-    WEAR_QUANTITIES,
     Quantity,
+    quantity_of,
 )
 from granflow.io.tables import COLLISION_COLUMNS, COLLISION_FILE, RowFile
 from granflow.observers.meters import FlowCount, FlowCounter, StageRows, WallForceMeter
 from granflow.observers.metrics import MetricMeter
 from granflow.observers.observer import ScheduledObserver
 from granflow.observers.passages import PassageTable, ResidenceTimes
-from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.snapshot import PARTICLES, TOTALS, Snapshot
 
 # `timeseries.csv`
@@ -39,9 +35,6 @@ READINGS: Mapping[str, Mapping[str, Quantity]] = {
     "metrics": METRIC_QUANTITIES,
 }
 """Quantities that the meters of each kind read, by name, in the order of the columns."""
-INSERTED = INSERTION_QUANTITIES["inserted_count"]
-PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES, **WEAR_QUANTITIES, INSERTED.name: INSERTED}
-"""Totals of one outlet, wall or inserted group, named `NAME.PART`."""
 NO_ROWS = {"size": 0, "unwritten": ""}
 """State of the rows without a file."""
 SHORTEST_ROW = 0.5
@@ -272,10 +265,11 @@ class TimeSeries(ScheduledObserver):
 
 def _column_label(name: str) -> str:
     """Return the column name of a total with its unit, also for totals of one outlet or wall."""
-    quantity, _, part = name.partition(".")
-    if part and quantity in (known := {**PARTS, **WALL_FLOW_QUANTITIES}):
-        return known[quantity].label_of(part)
-    return TOTAL_QUANTITIES[name].label if name in TOTAL_QUANTITIES else name
+    quantity = quantity_of(name)
+    part = name.partition(".")[2]
+    if quantity is None:
+        return name
+    return quantity.label_of(part) if part else quantity.label
 
 
 # `collision_energies.csv`

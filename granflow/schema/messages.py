@@ -180,12 +180,17 @@ def synonym(word: str, known: Iterable[str]) -> str | None:
 
 
 def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Fault:
-    """The fault of an unknown name, with the closest known name or a list of all."""
+    """The fault of an unknown name, see `no_such`."""
+    return Fault(path, no_such(name, known, kind))
+
+
+def no_such(name: str, known: Iterable[str], kind: str) -> str:
+    """What is wrong with an unknown name, with the closest known name or a list of all."""
     names = list(known)
     if suggestion := nearest(name, names):
-        return Fault(path, f"there is no such {kind}. Did you mean {suggestion}?")
+        return f"there is no such {kind}. Did you mean {suggestion}?"
     known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
-    return Fault(path, f"there is no such {kind}; {known_names}")
+    return f"there is no such {kind}; {known_names}"
 
 
 def unknown_names(

@@ -15,23 +15,10 @@ from typing import Any
 
 from granflow import Scene, load_scene, plan_for
 from granflow.errors import FileError, SceneError
-from granflow.fields import (
-    FLOW_METER_QUANTITIES,
-    INSERTION_QUANTITIES,
-    OUTLET_QUANTITIES,
-    RESIDENCE_QUANTITIES,
-    RUN_QUANTITIES,
-    STAGE_QUANTITIES,
-    TOTAL_QUANTITIES,
-    WALL_FLOW_QUANTITIES,
-    WALL_FORCE_QUANTITIES,
-    WALL_QUANTITIES,
-    WEAR_QUANTITIES,
-)
 from granflow.load import identity_of
 from granflow.plan.cost import typical_run_time
 from granflow.runs.initial_particles import checked_particles
-from granflow.schema.messages import nearest
+from granflow.scene.run_numbers import reason_without
 from granflow.studies.run_process import RunInputs, RunRequest, source_digest
 from granflow.units import number_of
 
@@ -165,56 +152,11 @@ def _relocated(problem: str, positions: Mapping[str, str]) -> str:
 
 
 def unknown_quantity(name: str, scene: Scene) -> str:
-    """Why a run of the scene has no number of this name, with the closest name; empty if it has one."""
-    known = result_names(scene)
-    if name in known:
+    """Why a run of the scene has no number of this name, in a sentence; empty if it has one."""
+    reason = reason_without(scene, name)
+    if not reason:
         return ""
-    near = nearest(name, known)
-    reason = f"{name} is not a number of a run of {scene.path.name or 'the scene'}."
     if name == "warnings":
-        return (
-            f"{reason} sweep.csv and runs.csv have a column with the warnings in any case; their number is "
-            "warning_count."
-        )
-    if near:
-        return f"{reason} Did you mean {near}?"
-    means = tuple(f"{each}." for each in STAGE_QUANTITIES)
-    with_parts = ", ".join(
-        each for each in known if "." in each and not each.startswith(("timings.", *means))
-    )
-    stage = scene.stage_names[-1]
-    return (
-        f"{reason} It has totals such as kinetic_energy, their means and largest values such as "
-        f"kinetic_energy_mean.{stage}{f', and {with_parts}' if with_parts else ''}."
-    )
-
-
-PHASES = ("neighbor_list", "forces", "integration", "output", "compile", "exchange", "waiting")
-"""Phases of a run with a wall-clock time, `timings.PHASE`; the last two on MPI ranks."""
-
-
-def result_names(scene: Scene) -> tuple[str, ...]:
-    """The names that a run of the scene can have, as in its `expect:` block."""
-    names = [*TOTAL_QUANTITIES, *RUN_QUANTITIES, *(f"timings.{phase}" for phase in PHASES)]
-    for meter in scene.output.flow_meters:
-        parts = [meter, *(f"{meter}.{part}" for part in scene.flow_meter_parts(meter))]
-        names += [f"{quantity}.{part}" for quantity in FLOW_METER_QUANTITIES for part in parts]
-    for each in STAGE_QUANTITIES:
-        names += [each, *(f"{each}.{stage}" for stage in scene.stage_names)]
-    if (given := scene.output.residence_time) is not None:
-        names += [f"{quantity}.{given.to}" for quantity in RESIDENCE_QUANTITIES]
-    for name, metric in scene.output.metrics.items():
-        names += [f"{each.name}{end}.{name}" for each in metric.quantities for end in ("", "_mean")]
-    names += [f"{quantity}.{wall}" for quantity in WALL_FORCE_QUANTITIES for wall in scene.measured_walls]
-    names += [
-        f"{quantity}.{wall}"
-        for quantity in WALL_QUANTITIES
-        for wall, each in scene.walls.items()
-        if each.motion
-    ]
-    names += [f"{quantity}.{wall}" for quantity in WALL_FLOW_QUANTITIES for wall in scene.walls]
-    worn = [wall for wall, each in scene.walls.items() if each.wear is not None]
-    names += [f"{quantity}.{wall}" for quantity in WEAR_QUANTITIES for wall in worn]
-    names += [f"{quantity}.{outlet}" for quantity in OUTLET_QUANTITIES for outlet in scene.outlets]
-    names += [f"{quantity}.{group}" for quantity in INSERTION_QUANTITIES for group in scene.particles]
-    return tuple(names)
+        reason = "sweep.csv and runs.csv have a column with them in any case; their number is warning_count"
+    ended = reason if reason.endswith("?") else f"{reason}."
+    return f"{name} is not a number of a run of {scene.path.name or 'the scene'}: {ended}"

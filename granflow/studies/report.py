@@ -23,10 +23,10 @@ from granflow.fields import (
     ENERGY_BUDGET_QUANTITIES,
     FIELD_QUANTITIES,
     FLOW_METER_QUANTITIES,
-    TOTAL_QUANTITIES,
-    WALL_FLOW_QUANTITIES,
+    METRIC_QUANTITIES,
     WALL_FORCE_QUANTITIES,
     WEAR_QUANTITIES,
+    quantity_of,
 )
 from granflow.io.files import write_text
 from granflow.io.frames import is_empty, listed_frames, read_mesh
@@ -39,7 +39,6 @@ from granflow.io.tables import (
     collision_table,
     read_table,
 )
-from granflow.scene.blocks.metrics import METRIC_QUANTITIES
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.sizes import SizeDistribution
 from granflow.studies.figures import COLORS, PageTable
@@ -549,11 +548,10 @@ def _first_and_last(columns: Iterable[SeriesColumn], caption: str) -> list[PageT
 
     Values below NEGLIGIBLE of the largest one are shown as 0.
     """
-    meanings = {**TOTAL_QUANTITIES, **WALL_FLOW_QUANTITIES, **WEAR_QUANTITIES}
     rows = []
     for column in columns:
         if column.unit not in ("", "1") and not is_zero(column):
-            known = meanings.get(column.name.partition(".")[0])
+            known = quantity_of(column.name)
             values = column.values[np.isfinite(column.values)]
             numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
             kept = (number if abs(number) > NEGLIGIBLE * abs(numbers[-1]) else 0.0 for number in numbers)

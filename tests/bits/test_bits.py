@@ -13,6 +13,10 @@ from bits.executions import OTHER_LISTS, RESUMED, host_executions
 from bits.scenes import QUICK, SCENES
 from resume.runs import files_of, states_of
 
+from granflow.fields import PART_KINDS, RUN_QUANTITIES, STAGE_QUANTITIES, TOTAL_QUANTITIES
+from granflow.runs.result import read_sections, result_of
+from granflow.scene.run_numbers import reason_without
+
 PROGRAM = Path(__file__).parent / "executions.py"
 pytestmark = pytest.mark.timeout(1200)
 
@@ -114,6 +118,27 @@ def check_kind(folder, kind, scene):
 
 def test_threads_lists_and_resumed_runs_have_the_same_bits(folder):
     check_host(folder, list(QUICK), "usual")
+
+
+def test_the_numbers_of_a_run_are_those_that_the_check_of_the_scene_allows(folder):
+    """Of all names of numbers, with all names of parts, the check refuses those that the result lacks.
+
+    A program can add forces, whose work is `external_work`; ranks have further timings.
+    """
+    execute_on_host(folder, list(QUICK), "usual")
+    for name in QUICK:
+        scene = QUICK[name].build()
+        parts = [
+            *(*scene.walls, *scene.particles, *scene.stage_names, *scene.outlets, *scene.output.metrics),
+            *(*scene.output.flow_meters, "forces"),
+        ]
+        quantities = {each for kind in PART_KINDS for each in kind.quantities}
+        whole = (*TOTAL_QUANTITIES, *STAGE_QUANTITIES, *RUN_QUANTITIES)
+        names = {*whole, *(f"{quantity}.{part}" for quantity in quantities for part in parts)}
+        found = result_of(read_sections(folder / "one" / name / "result.json")).numbers.keys() & names
+        allowed = {each for each in names if not reason_without(scene, each)}
+        differing = {each for each in allowed ^ found if not each.startswith("external_work")}
+        assert len(found) > 50 and not differing, name
 
 
 OTHER_KERNELS = {"gpu": "clumps", "long": "films", "forked": "walls"}

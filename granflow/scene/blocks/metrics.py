@@ -16,17 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from granflow.arguments import shown
-from granflow.fields import (
-    FLOW_METER_QUANTITIES,
-    INSERTION_QUANTITIES,
-    OUTLET_QUANTITIES,
-    RESIDENCE_QUANTITIES,
-    STAGE_QUANTITIES,
-    WALL_FORCE_QUANTITIES,
-    WALL_QUANTITIES,
-    WEAR_QUANTITIES,
-    Quantity,
-)
+from granflow.fields import METRIC_PARTS, METRIC_QUANTITIES, STAGE_PARTS, Quantity, parts_with
 from granflow.geometry.coarse_grid import CoarseGrid
 from granflow.geometry.vectors import RIGHT_ANGLE_COSINE, frame_along, is_parallel
 from granflow.scene.blocks.domain import Domain
@@ -58,18 +48,6 @@ from granflow.snapshot import (
 )
 
 # What a metric is
-
-PART_QUANTITIES = {
-    **STAGE_QUANTITIES,
-    **FLOW_METER_QUANTITIES,
-    **RESIDENCE_QUANTITIES,
-    **WALL_FORCE_QUANTITIES,
-    **WALL_QUANTITIES,
-    **WEAR_QUANTITIES,
-    **INSERTION_QUANTITIES,
-    **OUTLET_QUANTITIES,
-}
-"""Numbers of other parts of a run, named `QUANTITY.PART` as those of metrics."""
 
 
 class CheckedScene(Protocol):
@@ -1490,8 +1468,6 @@ AnyMetric = Annotated[
 """Any built-in kind of metric; the key `kind` selects it."""
 METRICS: list[type[Metric]] = []
 """The kinds of metrics: built in, and registered by a program."""
-METRIC_QUANTITIES: dict[str, Quantity] = {}
-"""Numbers of all metrics; with the suffix `_mean` the mean over the rows of the last stage."""
 
 
 def add_metric(metric: type[Metric]) -> None:
@@ -1536,9 +1512,8 @@ def _problems(metric: type[Metric]) -> Iterator[str]:
             yield f"its quantities contain {shown(each)}, which is not a Quantity"
         elif not is_name(each.name) or each.name.endswith("_mean"):
             yield f"its quantity {shown(each.name)} must have lowercase letters, digits and _, without _mean"
-        elif (
-            METRIC_QUANTITIES.get(each.name, each) != each
-            or each.name in PART_QUANTITIES.keys() - STAGE_QUANTITIES
+        elif METRIC_QUANTITIES.get(each.name, each) != each or any(
+            kind not in (METRIC_PARTS, STAGE_PARTS) for kind in parts_with(each.name)
         ):
             yield f"the quantity {each.name} exists with another meaning"
         elif each.kind != "scalar":

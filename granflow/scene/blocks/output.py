@@ -12,16 +12,10 @@ from pydantic import Field, GetCoreSchemaHandler, ValidationInfo
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from granflow.fields import (
-    FIELD_QUANTITIES,
-    RUN_QUANTITIES,
-    STAGE_QUANTITIES,
-    TOTAL_QUANTITIES,
-    WALL_FLOW_QUANTITIES,
-)
+from granflow.fields import FIELD_QUANTITIES, quantity_of
 from granflow.geometry.vectors import are_perpendicular
 from granflow.scene.blocks.grids import GridSpec
-from granflow.scene.blocks.metrics import METRIC_QUANTITIES, METRICS, PART_QUANTITIES, AnyMetric
+from granflow.scene.blocks.metrics import METRICS, AnyMetric
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, redundant, whole
 from granflow.schema.messages import suggestion_or_list
@@ -285,21 +279,8 @@ def unit_of(name: str) -> str:
     name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and
            `timings.forces`
     """
-    unit = _unit_of(name)
-    return "" if unit in (None, "1") else str(unit)
-
-
-def _unit_of(name: str) -> str | None:
-    """The unit of a number of a run, "1" if it is dimensionless; None if it is unknown."""
-    base, _, part = name.partition(".")
-    if base == "timings" and part:
-        return "s"
-    if part:
-        known = {**PART_QUANTITIES, **STAGE_QUANTITIES, **METRIC_QUANTITIES, **WALL_FLOW_QUANTITIES}
-    else:
-        known = {**TOTAL_QUANTITIES, **STAGE_QUANTITIES, **RUN_QUANTITIES}
-    quantity = known.get(base)
-    return None if quantity is None else quantity.unit
+    quantity = quantity_of(name)
+    return "" if quantity is None or quantity.unit == "1" else quantity.unit
 
 
 class BoundOfQuantity(Number):
@@ -311,9 +292,9 @@ class BoundOfQuantity(Number):
 
     def read_for(self, value: Any, info: ValidationInfo) -> float | int | str:
         """Convert a value from the file to SI. Raises PydanticCustomError as `Number.read`."""
-        unit = _unit_of(str((info.data or {}).get("quantity", "")))
-        fitting = [name for name, each in DIMENSIONS.items() if unit and each.si_unit == unit]
-        if unit == "1":
+        quantity = quantity_of(str((info.data or {}).get("quantity", "")))
+        fitting = [name for name, each in DIMENSIONS.items() if quantity and each.si_unit == quantity.unit]
+        if quantity and quantity.unit == "1":
             fitting = ["number"]
         for name in fitting[:-1]:
             with suppress(PydanticCustomError):
