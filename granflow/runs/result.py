@@ -1,6 +1,5 @@
 """The numbers of a completed run: `result.json`, and the table printed at the end."""
 
-import difflib
 import json
 import math
 from collections.abc import Collection, Iterable, Mapping
@@ -429,8 +428,8 @@ def _label(name: str) -> str:
 def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) -> list[ExpectationResult]:
     """Evaluate all expectations with the numbers of the completed run (`Result.numbers`), in the same order.
 
-    An expectation on NaN, or on a quantity that the run lacks, is not satisfied; the sentence then lists
-    similar names. Raises ValueError for an expectation without any bound.
+    An expectation on NaN, or on a quantity that the run lacks, is not satisfied. The check of a scene refuses
+    such quantities, but for those of a program. Raises ValueError for an expectation without any bound.
     """
     return [_evaluate_one(expectation, numbers) for expectation in expectations]
 
@@ -439,7 +438,7 @@ def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> Exp
     """Evaluate one expectation; numbers in the sentence have six digits."""
     name = expectation.quantity
     if name not in numbers:
-        return ExpectationResult(_unknown(name, numbers), False)
+        return ExpectationResult(f"{name} is not a number of this run; result.json has all of them.", False)
     number = numbers[name]
     unit = f" {unit_of(name)}".rstrip()
     met, requirement = _compare(expectation, number, unit)
@@ -470,14 +469,3 @@ def _compare_equal(number: float, target: float, tolerance: float, unit: str) ->
     """Return whether |number - target| <= tolerance |target|, and the text of the requirement."""
     within = f" within {100.0 * tolerance:g} %" if tolerance else ""
     return abs(number - target) <= tolerance * abs(target), f"equal to {target:.10g}{unit}{within}"
-
-
-def _unknown(name: str, numbers: Mapping[str, float]) -> str:
-    """Return a sentence for a quantity that the run lacks.
-
-    It lists at most three similar names, or else all names.
-    """
-    suggestions = difflib.get_close_matches(name, numbers, n=3)
-    if suggestions:
-        return f"{name} is not a number of this run. Did you mean {' or '.join(suggestions)}?"
-    return f"{name} is not a number of this run. It has {', '.join(sorted(numbers))}."
