@@ -64,7 +64,10 @@ Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ran
 
 - **Quadrants and Taichi** take the same time per step within the noise, since Quadrants inlines the batch of contacts
   (hopper, one thread, f64, `hertz` and `zhou`: 151 to 220 and 152 to 198 ns per particle; before, Quadrants took 274 to
-  320 ns).
+  320 ns). On an Intel Xeon with AVX-512 (2026-11-30, idle, two rounds, one after the other), Quadrants takes 1.12 to
+  1.21 times as long for 10 000 and 50 000 particles and the hopper, on one and two threads: it calls LLVM without the
+  vectorization of straight-line code, so that the step of the hopper has 475 multiplications of one number and 130 of
+  several, with Taichi 246 and 256. Commands therefore use Taichi there.
 - **Integration** takes 8 to 13 ns per particle between 10 000 and 200 000 particles, 10 to 17 after the forces have
   displaced its data from the cache, of 100 to 150 ns for the step; the same loop in C++ takes 9 to 12. Without any check
   of limits it takes 5 to 8. Without quotients (stored 1/m and 1/I) the C++ gains 2 ns at 1000 particles, 0.3 to 0.7 at
@@ -103,7 +106,7 @@ Measured on 2026-11-28 on an AMD EPYC (Zen 4, AVX-512) that others used too: ran
   each function with the tokenizer. Without both, CPU time of a start of the hopper on Zen 3 (two runs each, loaded machine):
   nothing compiled 11.3 and 13.5 s, Taichi 19.6 and 19.8 s; compiled before 6.0 and 6.9 s (14.1 s before the change), Taichi
   6.1 and 6.0 s. CPU time of steps (hopper, 0.25 to 0.35 s, one thread, four pairs in turn): 9.5 to 10.1 s, Taichi 8.9 to
-  10.3 s. Commands therefore use Quadrants where it is installed.
+  10.3 s. Commands therefore use Quadrants where it is installed, but on processors of Intel.
 - **Order of the particles**: the order of cells in blocks of 8 x 8 x 8 puts as few pairs across chunks as the Hilbert curve
   and the Z-order curve within 1 to 3 points, for chunks of 512 to 4096. The curves would be another sort for no gain.
 - **Chunks of a worker**: workers that begin each phase with chunks of their own instead of the next one of all, so that
