@@ -6,9 +6,13 @@ the contacts at the begin of a step (J. Christoffersen, M. M. Mehrabadi, S. Nema
 
     P_k = (1/V) sum over contacts of F_k b_k,     F: force on particle i, b: branch vector from j to i
 
-and the velocity W' = rate W of the upper face, the lower one stays. As in the leapfrog scheme of the
-particles, W' is half a step behind W, and both are advanced before the particles (`DeformingBox.move`). The
-image above a particle moves with W' relative to it. A particle receives the change of the affine velocity
+and the velocity W' of the upper face, the lower one stays. As in the leapfrog scheme of the particles, W' is
+half a step behind W, and both are advanced before the particles (`DeformingBox.move`). The rate acts on the
+width at the middle of the step, so that ln W changes by rate dt to the second order:
+
+    W' = rate (W(t) + W(t + dt)) / 2 = rate W(t) / (1 - rate dt / 2)
+
+The image above a particle moves with W' relative to it. A particle receives the change of the affine velocity
 field at its position, so that the box compresses a packing everywhere, and not from its faces:
 
     v += (W'(t + dt/2) - W'(t - dt/2)) (x - low) / W            W(t + dt) = W(t) + dt W'(t + dt/2)
@@ -101,7 +105,7 @@ class DeformingBox:
                 largest = rate
                 rate = self.fields.gain[axis] * (pressure - self.fields.target[axis])
                 rate = ti.max(ti.min(rate, largest), -largest)
-            velocity = rate * width
+            velocity = rate * width / (1.0 - 0.5 * rate * dt)
             mean_velocity = 0.5 * (self.fields.width_velocity[axis] + velocity)
             self.fields.work[axis] = self.fields.work[axis] + dt * mean_velocity * force
             self.fields.kick[axis] = (velocity - self.fields.width_velocity[axis]) / width

@@ -65,7 +65,7 @@ def test_cubic_lattice_has_hertzian_pressures_and_reaches_targets(taichi_f64):
         last, _ = run_to_end(deformed(lattice(), rates, stages=stages[:count]))
         if count == 1:
             width = SIDE * np.exp(np.array([-1.0, -2.0, -0.5]) * last.time)
-            np.testing.assert_allclose(of_axes(last, "box_width"), width, rtol=1e-5)
+            np.testing.assert_allclose(of_axes(last, "box_width"), width, rtol=1e-10)
         cell = of_axes(last, "box_width") / 3
         overlap = 0.01 - cell
         force = STIFFNESS * overlap**1.5
