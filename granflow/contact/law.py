@@ -729,13 +729,20 @@ class SurfaceLaw(Law):
         return 0.0 * contact.stiffness
 
 
+AT_LIMIT = 1.0 - 1e-6
+"""Share of the largest tangential force above which a contact counts as sliding."""
+
+
 @dataclass(frozen=True)
 class TangentialLaw(SurfaceLaw):
     """A tangential contact model: a force in the contact plane.
 
     An option `stiffness` [N/m] replaces that of the normal model in the time step.
+
+    sticks:  whether surfaces stick below the limit; then their relative motion there is elastic
     """
 
+    sticks: ClassVar[bool] = True
     required = ("force", "present_force", "limit")
     returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
         **Law.returns,

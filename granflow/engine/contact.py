@@ -114,7 +114,7 @@ class Contact:
             self.histories.write(list_index, found.history)
             self._account(chunk, i, j, pose, kinematics.normal, found, dt)
             if ti.static(self.wears):
-                self.wear.add(i, j, kinematics, angular_velocities, force, dt)
+                self.wear.add(i, j, kinematics, angular_velocities, force, found.slides, dt)
             if ti.static(self.has_flows):
                 if ti.static(not self.flows_at_distance):
                     touching = normal_contact(bodies, kinematics, normal_time_step(dt, longest))

@@ -21,7 +21,7 @@ them.
 
 from typing import Any
 
-from granflow.contact.law import SLOTS, in_contact_plane
+from granflow.contact.law import AT_LIMIT, SLOTS, in_contact_plane
 from granflow.contact.registry import ContactLaws
 from granflow.device_functions import at_compile_time
 from granflow.engine.box import DeviceBox
@@ -391,8 +391,9 @@ class PairForce:
         """Force and torques; angular_velocities: as of `Pair.angular_velocities`.
 
         Returns a struct of the force on the first [N], the torques on both [N m], the history, and the
-        losses: a vector of the energies [J] dissipated in this step, in the order of PAIR_LOSSES. The power
-        [W] that the viscous force of the cohesion model dissipates is a further member.
+        losses: a vector of the energies [J] dissipated in this step, in the order of PAIR_LOSSES. Further
+        members are the power [W] that the viscous force of the cohesion model dissipates, and whether the
+        surfaces slide (1 or 0): the relative motion of surfaces that stick is elastic.
         """
         contact = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step))
         normal_force, load, viscous, history_new = self.normal_force(constants, contact, history)
@@ -402,6 +403,7 @@ class PairForce:
         losses = no_losses(0.0 * load)
         losses[self.damping] = viscous * kinematics.overlap_rate * dt
         viscous_power = 0.0 * load
+        slides = 1
         if ti.static(self.laws.has_viscous_cohesion):
             liquid = self.viscous_force(constants, contact, history_new, kinematics, angular_velocities)
             force += liquid.force
@@ -424,6 +426,9 @@ class PairForce:
                 found = law.act(member(constants, slot), surface, kinematics, member(history, slot))
                 if ti.static("force" in found.keys):
                     force += found.force
+                    if ti.static(law.sticks):
+                        least = AT_LIMIT * law.limit(member(constants, slot), surface)
+                        slides = ti.select(found.force.dot(found.force) >= least * least, 1, 0)
                 torque += found.torque
                 torque_partner += found.torque_partner
                 losses[loss] += found.loss
@@ -435,6 +440,7 @@ class PairForce:
             history=history_new,
             losses=losses,
             viscous_power=viscous_power,
+            slides=slides,
         )
 
     @ti.func

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.contact.law import AT_LIMIT
 from granflow.engine.box import DeviceBox
 from granflow.engine.fields import FieldBlock
 from granflow.engine.history import ContactHistory, vector_components
@@ -154,8 +155,6 @@ def _position_table(state: State) -> FieldTable:
 QUANTITIES = ("overlap", "normal_force", "tangential_force", "friction_limit")
 """Quantities that `_build_evaluate` records for each list entry, in N except for the overlap in m."""
 OVERLAP, NORMAL, TANGENTIAL, LIMIT = range(len(QUANTITIES))
-AT_LIMIT = 1.0 - 1e-6
-"""Share of the Coulomb limit above which a contact counts as sliding."""
 
 
 def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:

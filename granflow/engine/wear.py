@@ -6,9 +6,10 @@ worn wall of another shape, has three sums over the run:
     V += (k / H) P dt        P: power of the law, see `scene.blocks.wear`
     W_n += |F_n v_n| dt      W_t += |F_t . v_t| dt
 
-with the force at the end of each step and the velocities of its middle. The sums are integers that all chunks
-share, so that no result depends on threads, chunks or ranks. Each addition moves its own carry: what low and
-high word represent together is the same in any order.
+with the force at the end of each step and the velocities of its middle. The slip rate v_t of surfaces that
+stick is 0: their relative motion is elastic, and a particle that vibrates on its contact wears nothing. The
+sums are integers that all chunks share, so that no result depends on threads, chunks or ranks. Each addition
+moves its own carry: what low and high word represent together is the same in any order.
 """
 
 from typing import Any
@@ -43,11 +44,12 @@ class FaceWear:
         self.high_word = WEAR_SIZE
 
     @ti.func
-    def add(self, i, j, kinematics, angular_velocities, contact_force, dt):
+    def add(self, i, j, kinematics, angular_velocities, contact_force, slides, dt):
         """Add one contact of particle i with the wall of partner j in one step.
 
         kinematics, angular_velocities:  as of the pair force
         contact_force:                   on the particle [N]
+        slides:                          1, or 0 if the surfaces stick
         """
         w = self.wall_of(j)
         law = self.walls.wear_law[w]
@@ -57,7 +59,7 @@ class FaceWear:
             velocity = ti.cast(kinematics.velocity_rel_half, ti.f64)
             spin = ti.cast(kinematics.arm_half * angular_velocities.first, ti.f64)
             force = ti.cast(contact_force, ti.f64)
-            slip_rate = in_contact_plane(velocity - spin.cross(normal_half), normal, normal_half)
+            slip_rate = slides * in_contact_plane(velocity - spin.cross(normal_half), normal, normal_half)
             normal_force = force.dot(normal)
             approach = -velocity.dot(normal_half)
             load = ti.Struct(

@@ -6,7 +6,7 @@ import meshio
 import numpy as np
 import pytest
 from geometry.meshes import sheet, write
-from scene_builders import SOFT, build_scene, particle_group
+from scene_builders import SOFT, build_scene, particle_group, run_to_end
 
 import granflow as gf
 
@@ -86,6 +86,18 @@ def test_archard_is_force_times_sliding_distance(worn):
     wall, depth = (frame.cell_data[name][0] for name in ("wall", "wear_depth"))
     np.testing.assert_allclose(depth[wall == 0], volume / 0.04, rtol=1e-6)
     assert np.isnan(depth[wall == 3]).all()
+
+
+def test_a_vibrating_sphere_that_sticks_wears_nothing():
+    """At rest on a plate, a sphere vibrates with u = 1 mm/s: its spring has at most u sqrt(K m), far below mu m g."""
+    plate = {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "liner", "wear": ARCHARD}
+    scene = build_scene(
+        {"glass": particle_group([[0, 0, RADIUS - 1e-6]], velocity=[1e-3, 0, 0])}, {"plate": plate}, {"friction": 0.9},
+        gravity=[0, 0, -9.81], run={"duration": 0.01, "time_step": 2e-6},
+    )  # fmt: skip
+    last, _ = run_to_end(scene)
+    assert abs(last.particles["velocity"][0, 0]) > 1e-4
+    assert last.wear["plate"][0, [0, 2]].tolist() == [0.0, 0.0]
 
 
 def test_triangles_of_a_mesh_have_the_wear_of_the_plane(worn):

@@ -32,6 +32,7 @@ class SlidingDashpot(TangentialLaw):
 
     name = "sliding_dashpot"
     source = "Haff & Werner 1986, Powder Technol. 48:239"
+    sticks: ClassVar[bool] = False
     limits = "surfaces creep under any tangential load: heaps and inclined beds do not come to rest"
     constant_names: ClassVar[tuple[str, ...]] = ("friction",)
     history: ClassVar[tuple[HistoryField, ...]] = (
