@@ -1,7 +1,8 @@
 """Periodic boundaries on the host (numpy): wrapping, images, Lees-Edwards shear, deformation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,21 @@ class ImageMotion:
     gradient: int
     speed: float
     start: float
+
+
+class LinePiece(NamedTuple):
+    """Pieces inside the box of some of n lines, of which they are the shares from `begin` to `until`.
+
+    rows:           indices (k,) of the lines
+    start, end:     (k, 3) [m]
+    begin, until:   (k,), or a number for all
+    """
+
+    rows: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    begin: np.ndarray | float
+    until: np.ndarray | float
 
 
 @dataclass(frozen=True)
@@ -96,6 +112,38 @@ class PeriodicBox:
     def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
         """Periodic images (n, 3) [m] of points nearest to the reference points (n, 3), row by row."""
         return self._nearest(points, references)[0]
+
+    def pieces(self, start: np.ndarray, end: np.ndarray, near: np.ndarray) -> Iterator[LinePiece]:
+        """Cut lines at the periodic faces, in the order of each line; without shear and deformation.
+
+        A line goes from a point of the box to the image of another, `end`, nearest to a third, `near`; all
+        (n, 3) [m]. It goes on at the opposite face, and its last piece ends at the point `end` itself.
+        """
+        images = self.nearest_images(end, near)
+        turns = np.round((images - end) / self.width)  # faces that the line still passes, up or down
+        rows = np.arange(len(start))
+        begin = np.zeros(len(start))
+        here = start
+        while len(rows):
+            left = images - here
+            face = self.low + np.where(turns > 0, self.width, 0.0)
+            share = np.full(turns.shape, np.inf)
+            np.divide(face - here, left, out=share, where=(turns != 0) & (left != 0))
+            axis = share.argmin(axis=1)
+            line = np.arange(len(rows))
+            goes_on = np.isfinite(share[line, axis])
+            passed = np.where(goes_on, np.clip(share[line, axis], 0.0, 1.0), 1.0)
+            there = np.where(goes_on[:, None], here + passed[:, None] * left, end)
+            there[goes_on, axis[goes_on]] = face[goes_on, axis[goes_on]]
+            until = begin + passed * (1.0 - begin)
+            yield LinePiece(rows, here, there, begin, until)
+            axis, sign = axis[goes_on], np.sign(turns[line, axis])[goes_on]
+            rows, end, begin, turns = rows[goes_on], end[goes_on], until[goes_on], turns[goes_on]
+            here, images = there[goes_on], images[goes_on]
+            line = np.arange(len(rows))
+            for points in (here, images):
+                points[line, axis] -= sign * self.width[axis]
+            turns[line, axis] -= sign
 
     def _nearest(self, points: np.ndarray, references: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self._shifted(

@@ -6,7 +6,7 @@ and at the end its result for `result.json`. A row that follows the one before t
 see `observers.metrics`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, nan, sqrt
@@ -17,7 +17,7 @@ import numpy as np
 
 from granflow.arguments import items_of, shown
 from granflow.errors import GranflowError
-from granflow.geometry.periodic_box import PeriodicBox
+from granflow.geometry.periodic_box import LinePiece, PeriodicBox
 from granflow.scene.blocks.output import FLOW_BLOCKS, FlowMeter
 from granflow.snapshot import Snapshot, body_ids
 
@@ -308,8 +308,8 @@ class FlowCounter:
       projection within the disc or rectangle, and could reach the plane: it was deleted before it could be
       sampled on the far side. It could if v T + g T^2 / 2 + R is at least its distance, with its velocity v
       toward the plane and the interval T of the samples. One that is deleted farther away has left otherwise.
-    - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as
-      backward.
+    - In a periodic box the line ends at an image, see `_crossed`, so that a wrapped particle does not count
+      as backward.
     - A particle that is first sampled on the far side does not count.
     - The time of the passage is that at which the straight line reaches the plane; that of a deleted particle
       follows from its distance and velocity at the last sample.
@@ -383,25 +383,29 @@ class FlowCounter:
     def _crossed(self, last: _Sample, now: _Sample) -> Passages:
         """Passages of the particles that exist in both samples and crossed between them.
 
-        In a periodic box, the lines to the nearest image of the end and from the nearest image of the start
-        are both tested, since the plane may be near either boundary.
+        In a periodic box, a line ends at the image nearest to where the mean of both velocities leads, and
+        each of its pieces inside the box counts: it can pass the plane several times.
         """
         _, before, after = np.intersect1d(
             last.particles["id"], now.particles["id"], assume_unique=True, return_indices=True
         )
         start = last.particles["position"][before]
         end = now.particles["position"][after]
+        interval = now.time - last.time
         box = self._periodic_box
         if box is None:
-            direction, fraction = self._crossing(start, end)
+            pieces: Iterable[LinePiece] = [LinePiece(np.arange(len(start)), start, end, 0.0, 1.0)]
         else:
-            to_image, fraction_to = self._crossing(start, box.nearest_images(end, start))
-            from_image, fraction_from = self._crossing(box.nearest_images(start, end), end)
-            direction = np.where(to_image == 0, from_image, to_image)
-            fraction = np.where(to_image == 0, fraction_from, fraction_to)
-        crossed = direction != 0
-        time = last.time + fraction[crossed] * (now.time - last.time)
-        return now.passages(after[crossed], direction[crossed], time)
+            mean_velocity = 0.5 * (last.particles["velocity"][before] + now.particles["velocity"][after])
+            pieces = box.pieces(start, end, start + interval * mean_velocity)
+        found = []
+        for piece in pieces:
+            direction, share = self._crossing(piece.start, piece.end)
+            fraction = piece.begin + share * (piece.until - piece.begin)
+            crossed = direction != 0
+            time = last.time + fraction[crossed] * interval
+            found.append(now.passages(after[piece.rows[crossed]], direction[crossed], time))
+        return joined(found)
 
     def _crossing(self, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Directions (n,) 1, -1 or 0 of lines from `start` to `end` (n, 3) [m] that cross forward, backward

@@ -1,9 +1,12 @@
 """Flow meters count each particle that crosses their plane; residence times are those between two of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from observers.snapshots import snapshot_of, spheres_of
 
+from granflow.geometry.periodic_box import PeriodicBox
 from granflow.observers.meters import (
     FlowCount,
     FlowCounter,
@@ -71,6 +74,42 @@ def test_rectangle_counts_particles_within_its_sides():
     above = {0: (1, 0.5, 2), 1: (1, 1.5, 2), 2: (2.5, 0.5, 2), 3: (-0.1, 0.5, 2), 4: (1.9, 0.1, 1.1)}
     below = {i: (x, y, 0.5) for i, (x, y, z) in above.items() if i != 4}
     assert measured(meter, above, below) == (2.0**0 + 2.0**4, 2)
+
+
+def test_in_a_periodic_box_each_lap_counts_where_it_passes():
+    """Uniform motions, up to two widths between two samples, through a quarter of the section and the whole plane.
+
+    A particle passes z = 1 + 5 k at the times t, at the wrapped place of x + u t.
+    """
+    width = np.array([2.0, 3.0, 5.0])
+    box = PeriodicBox((0, 1, 2), np.zeros(3), width)
+    rng = np.random.default_rng(4)
+    start, velocity = rng.uniform(0.0, width, (300, 3)), rng.uniform(-2.0, 2.0, (300, 3)) * width
+    quarter, plane = ({"sides": ((1, 0, 0), (0, 1.5, 0))}, {})
+    meters = [
+        FlowCounter(FlowMeter(point=(0, 0, 1), normal=(0, 0, 1), **part), box) for part in (quarter, plane)
+    ]
+    passed = []
+    for time in range(4):
+        places = box.wrap(start + time * velocity)
+        (sample,) = falling([dict(enumerate(places))], velocity=velocity, mass=np.ones(300))
+        for meter in meters:
+            meter.update(replace(sample, time=float(time)))
+        passed += [] if time == 0 else [meters[0].passages.time]
+    low, high = np.sort([start[:, 2], start[:, 2] + 3.0 * velocity[:, 2]], axis=0)
+    times, within, count = [], 0, 0
+    for particle in range(300):
+        for plane_height in 1.0 + 5.0 * np.arange(-8, 9):
+            if low[particle] < plane_height < high[particle]:
+                time = (plane_height - start[particle, 2]) / velocity[particle, 2]
+                x, y = (start[particle] + time * velocity[particle])[:2] % width[:2]
+                count += int(np.sign(velocity[particle, 2]))
+                if x < 1.0 and y < 1.5:
+                    times.append(time)
+                    within += int(np.sign(velocity[particle, 2]))
+    assert len(times) > 150
+    assert (meters[0].total.count, meters[1].total.count) == (within, count)
+    np.testing.assert_allclose(np.concatenate(passed), np.sort(times), rtol=1e-9)
 
 
 def test_group_by_material_counts_each_material_also_after_a_resume():
