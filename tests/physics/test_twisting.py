@@ -2,7 +2,16 @@
 
 import numpy as np
 import pytest
-from scene_builders import column, few_spheres, particle_group, plane, run_and_sample, times
+from scene_builders import (
+    DASHPOTS,
+    build_scene,
+    column,
+    few_spheres,
+    particle_group,
+    plane,
+    run_and_sample,
+    times,
+)
 
 from granflow.contact import theory
 
@@ -63,3 +72,22 @@ def test_torsion_spring_oscillates_with_its_damped_period(taichi_f64):
     expected = np.exp(-decay * t) * (np.cos(frequency * t) - decay / frequency * np.sin(frequency * t))
     np.testing.assert_allclose(rate / 0.1, expected, rtol=0.0, atol=5e-3)
     assert abs(snapshots[-1].totals["energy_error"]) < 1e-4
+
+
+def test_dashpots_beyond_the_limit_leave_no_energy_in_their_springs(taichi_f64):
+    """Fast slip and spin deflect the springs, whose energy ends with the contact: it has been dissipated.
+
+    What the sphere loses by both is their dissipation, without a rest in the energy budget.
+    """
+    sphere = particle_group([[0, 0, 0.0051]], velocity=[2.0, 0, -0.5], angular_velocity=[0, 0, 400.0])
+    scene = build_scene(
+        {"ball": sphere}, {"floor": plane([0, 0, 0], [0, 0, 1])}, {"restitution": 0.3, "friction": 0.1},
+        run={"duration": 2e-3, "velocity_max": 0.5, "time_step": 1e-6}, output={"interval": 1.0, "energy_budget": True},
+        contact=DASHPOTS["contact"] | {"tangential": {"law": "mindlin", "damping": 1.0}, "rolling": "none"},
+    )  # fmt: skip
+    before, last = run_and_sample(scene, 2e-3)
+    assert last.totals["contact_count"] == 0 and last.particles["velocity"][0, 2] > 0.0
+    lost = sum(before.totals[name] - last.totals[name] for name in ("kinetic_energy", "rotational_energy"))
+    dissipated = {name: last.totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping")}
+    assert min(dissipated.values()) > 1e-7
+    assert sum(dissipated.values()) == pytest.approx(lost, rel=1e-4)

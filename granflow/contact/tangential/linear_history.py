@@ -29,6 +29,7 @@ class LinearHistory(Mindlin):
         return cls(
             damping=options.damping,
             dashpot_sticks=options.dashpot == "sticking",
+            energy_budget=request.energy_budget,
             spring_stiffness=options.stiffness,
         )
 

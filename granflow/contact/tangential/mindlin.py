@@ -64,12 +64,18 @@ class Mindlin(TangentialLaw):
     rescaled:          whether a decrease of the stiffness decreases the force in proportion
     damping:           ratio of the tangential to the normal dashpot
     dashpot_sticks:    whether the dashpot acts only while the spring is below the Coulomb limit
+    energy_budget:     whether the run accounts for energies
+
+    A dashpot that exceeds the limit deflects the spring against the motion. The energy of this deflection is
+    not elastic energy while the contact slides: it is dissipated, unless the contact sticks again. With the
+    energy budget the history has the elastic energy.
     """
 
     force_increments: bool = True
     rescaled: bool = True
     damping: float = 0.0
     dashpot_sticks: bool = False
+    energy_budget: bool = False
 
     name = "mindlin"
     source = "Mindlin 1949; Cundall & Strack 1979; Thornton, Cummins & Cleary 2013"
@@ -88,6 +94,7 @@ class Mindlin(TangentialLaw):
             options.unloading == "rescaled",
             options.damping,
             options.dashpot == "sticking",
+            request.energy_budget,
         )
 
     @property
@@ -96,16 +103,24 @@ class Mindlin(TangentialLaw):
         return self.damping > 0.0
 
     @property
+    def deflects(self) -> bool:
+        """Whether the dashpot can deflect the spring, and the history has the elastic energy."""
+        return self.damped and not self.dashpot_sticks and self.energy_budget
+
+    @property
     def parameters(self) -> Mapping[str, float]:
         """The ratio of the dashpots."""
         return {"damping": self.damping} if self.damped else {}
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
-        """Elastic tangential displacement, and the force of the dashpot."""
+        """Elastic tangential displacement, the force of the dashpot, and the elastic energy."""
         dashpot = (HistoryField("dashpot", "force of the tangential dashpot", "N", size=3),)
-        return HistoryField("displacement", "tangential displacement", "m", size=3), *(
-            dashpot if self.damped else ()
+        stored = (HistoryField("stored", "elastic energy of the tangential spring", "J"),)
+        return (
+            HistoryField("displacement", "tangential displacement", "m", size=3),
+            *(dashpot if self.damped else ()),
+            *(stored if self.deflects else ()),
         )
 
     @ti.func
@@ -160,7 +175,7 @@ class Mindlin(TangentialLaw):
         spring = 0.0 * rotated
         displacement = 0.0 * rotated
         force = 0.0 * rotated
-        dashpot_loss = 0.0 * ratio
+        further_loss = 0.0 * ratio
         if ti.static(self.damped):
             damping = ti.select(rotated.dot(rotated) > 0.0, constants.damping * contact.normal_damping, 0.0)
             dashpot = -damping * contact.slip_rate
@@ -176,13 +191,19 @@ class Mindlin(TangentialLaw):
                 force = share * trial
                 displacement = ti.select(share < 1.0, (dashpot - force) / stiffness, displacement)
                 spring = -stiffness * displacement
-            dashpot_loss = -0.5 * (history.dashpot + dashpot).dot(contact.slip)
+                if ti.static(self.deflects):
+                    spring_energy = 0.5 * stiffness * displacement.dot(displacement)
+                    stored = ti.select(share < 1.0, 0.5 * force.dot(force) / stiffness, spring_energy)
+                    deflection_before = history.stored - 0.5 * ratio * stiffness * rotated.dot(rotated)
+                    further_loss = spring_energy - stored + deflection_before
+                    history_new.stored = stored
+            further_loss -= 0.5 * (history.dashpot + dashpot).dot(contact.slip)
             history_new.dashpot = dashpot
         else:
             spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, contact.slip)
             force = spring
         energy_lost = (
-            spring_loss(stiffness, ratio, rotated, contact.slip, spring, displacement) + dashpot_loss
+            spring_loss(stiffness, ratio, rotated, contact.slip, spring, displacement) + further_loss
         )
         history_new.displacement = displacement
         return force, history_new, energy_lost
@@ -213,10 +234,13 @@ class Mindlin(TangentialLaw):
         displacement = carried + contact.slip
         force = dashpot - stiffness * displacement
         size = float(np.sqrt(force @ force))
+        elastic_force = stiffness * displacement
         if size > limit:
             force = force * (limit / size)
             displacement = (dashpot - force) / stiffness
-        return force, {"displacement": displacement, "dashpot": dashpot}
+            elastic_force = force
+        stored = {"stored": 0.5 * elastic_force @ elastic_force / stiffness} if self.deflects else {}
+        return force, {"displacement": displacement, "dashpot": dashpot, **stored}
 
     @ti.func
     def present_force(self, constants, contact, history):
@@ -229,7 +253,10 @@ class Mindlin(TangentialLaw):
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy of the spring [J]."""
-        return 0.5 * self.stiffness(constants, contact) * history.displacement.dot(history.displacement)
+        energy = 0.5 * self.stiffness(constants, contact) * history.displacement.dot(history.displacement)
+        if ti.static(self.deflects):
+            energy = history.stored
+        return energy
 
 
 class MindlinOptions(Options):

@@ -33,7 +33,8 @@ class TorsionLaw(TwistingLaw):
         T = -k theta - c w_n;   if |T| > T_max:   T <- T_max T / |T|,   theta <- -(T + c w_n) / k
 
     dashpot:        whether the dashpot is compiled
-    energy_budget:  whether the torque of the dashpot is saved for the dissipated energy
+    energy_budget:  whether the torque of the dashpot and the elastic energy are saved for the dissipated
+                    energy, see `tangential.mindlin.Mindlin`
 
     If the stiffness increases, the torque is preserved; if it decreases, the angle is. The dashpot acts from
     the second step on, as that of the tangential models.
@@ -44,8 +45,11 @@ class TorsionLaw(TwistingLaw):
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
-        """Elastic twist angle, stiffness, and with the energy budget the torque of the dashpot."""
-        saved = (HistoryField("dashpot", "torque of the twisting dashpot", "N m"),)
+        """Elastic twist angle, stiffness, and with the energy budget torque of the dashpot and energy."""
+        saved = (
+            HistoryField("dashpot", "torque of the twisting dashpot", "N m"),
+            HistoryField("stored", "elastic energy of the twisting spring", "J"),
+        )
         return (
             HistoryField("angle", "elastic twist angle", "rad"),
             HistoryField("stiffness", "twisting stiffness of the previous step", "N m/rad"),
@@ -75,11 +79,15 @@ class TorsionLaw(TwistingLaw):
         trial = dashpot - stiffness * angle
         torque = ti.max(ti.min(trial, limit), -limit)
         angle = ti.select(ti.abs(trial) > limit, (dashpot - torque) / stiffness, angle)
-        work = 0.5 * (history.stiffness * before + stiffness * angle) * step
-        lost = work + 0.5 * history.stiffness * before * before - 0.5 * stiffness * angle * angle
+        lost = 0.5 * (history.stiffness * before + stiffness * angle) * step
         if ti.static(self.dashpot and self.energy_budget):
-            lost += -0.5 * (history.dashpot + dashpot) * step
+            elastic_torque = ti.select(ti.abs(trial) > limit, torque, stiffness * angle)
+            stored = 0.5 * elastic_torque * elastic_torque / stiffness
+            lost += history.stored - stored - 0.5 * (history.dashpot + dashpot) * step
             history_new.dashpot = dashpot
+            history_new.stored = stored
+        else:
+            lost += 0.5 * history.stiffness * before * before - 0.5 * stiffness * angle * angle
         history_new.angle = angle
         history_new.stiffness = stiffness
         return torque * contact.normal, history_new, lost
@@ -92,16 +100,22 @@ class TorsionLaw(TwistingLaw):
         angle = before.angle * min(before.stiffness / stiffness, 1.0) + contact.time_step * rate
         dashpot = -coefficient * rate if self.dashpot and before.angle != 0.0 else 0.0
         torque = dashpot - stiffness * angle
+        elastic_torque = stiffness * angle
         if abs(torque) > limit:
             torque = float(np.copysign(limit, torque))
             angle = (dashpot - torque) / stiffness
-        saved = {"dashpot": dashpot} if self.dashpot and self.energy_budget else {}
+            elastic_torque = torque
+        saved = {"dashpot": dashpot, "stored": 0.5 * elastic_torque**2 / stiffness}
+        saved = saved if self.dashpot and self.energy_budget else {}
         return torque * contact.normal, {"angle": angle, "stiffness": stiffness, **saved}
 
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy of the spring [J]."""
-        return 0.5 * history.stiffness * history.angle * history.angle
+        energy = 0.5 * history.stiffness * history.angle * history.angle
+        if ti.static(self.dashpot and self.energy_budget):
+            energy = history.stored
+        return energy
 
 
 @dataclass(frozen=True)
