@@ -288,20 +288,27 @@ class Engine:
         write_deformation(self.state, stage)
         write_damping(self.state, stage)
 
-    def set_gravity(self, course: GravityCourse) -> None:
-        """Set how gravity acts from the present time on; takes effect with the next `refresh`.
+    def begin_stage(self, stage: str, course: GravityCourse) -> None:
+        """As `set_stage` and `set_gravity`, from the present time on.
 
-        Velocities are half a step behind: if gravity jumps, they are shifted to the present time by the
-        forces before the jump, and `refresh` shifts them back by those after it.
+        Velocities are half a step behind: if gravity or the damping jumps, they are shifted to the present
+        time by the forces before the jump, and `refresh` shifts them back by those after it.
         """
         state = self.state
         now = np.array([self.time])
         jump = course.at(now)[0] - state.gravity_course.at(now)[0]
-        if self._velocities_lag and jump.any():
+        damping = self.plan.scene.damping
+        other_damping = damping is not None and damping.values(stage) != damping.values(self._stage)
+        if self._velocities_lag and (other_damping or jump.any()):
             self._kick(0.5 * self.time_step)
             self._velocities_lag = False
             shift_bodies(state, jump)
-        state.gravity_course = course
+        self.set_stage(stage)
+        self.set_gravity(course)
+
+    def set_gravity(self, course: GravityCourse) -> None:
+        """Set how gravity acts; takes effect with the next `refresh`."""
+        self.state.gravity_course = course
         self.stepper.poses.discard()
 
     def apply_settings(self, stage: str) -> list[int]:

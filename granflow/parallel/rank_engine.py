@@ -101,6 +101,7 @@ class RankEngine(Engine):
 
     insert = _on_all_ranks("insert")
     set_walls = _on_all_ranks("set_walls")
+    begin_stage = _on_all_ranks("begin_stage")
     set_stage = _on_all_ranks("set_stage")
     set_gravity = _on_all_ranks("set_gravity")
     apply_settings = _on_all_ranks("apply_settings")

@@ -117,8 +117,7 @@ class RunState:
         if stage.delete:
             _warn_of_no_particles(stage, "delete", engine.delete(stage.name), engine)
         progress.begin(stage, engine.time)
-        engine.set_stage(stage.name)
-        engine.set_gravity(engine.plan.scene.gravity_course(progress.stage_times))
+        engine.begin_stage(stage.name, engine.plan.scene.gravity_course(progress.stage_times))
         progress.set_walls(engine)
         self.insertion.begin_stage(stage.name, engine.time)
         self.insertion.insert_due(engine)
