@@ -55,6 +55,10 @@ class WallPose:
         """Return the current positions (n, 3) [m] of points at rest (n, 3) [m]."""
         return (points - self.pivot) @ self.rotation.T + self.pivot + self.offset
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An array is writable when it is unpickled: the constructor makes it read-only.
+        return WallPose, (self.present, self.offset, self.rotation, self.pivot, self.surface_velocity)
+
 
 def body_ids(particles: Mapping[str, np.ndarray]) -> np.ndarray:
     """Id (n,) of the body of each sphere: of the first sphere of its clump, or its own."""
