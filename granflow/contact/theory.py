@@ -128,7 +128,7 @@ def unloading_duration(e: float) -> float:
         return 0.0
     y = float(recovery(e))
     kappa = 1.25 * e**2 * float(unloading_slope(e))
-    nodes, weights = _quadrature()
+    nodes, weights = gauss_nodes(120)
     angle = np.pi / 4.0 * (nodes + 1.0)
     s = np.sin(angle)
     # (1 - s^2.5) / cos^2, finite at s = 1 where it is 1.25
@@ -138,10 +138,9 @@ def unloading_duration(e: float) -> float:
 
 
 @cache
-def _quadrature() -> tuple[np.ndarray, np.ndarray]:
-    """120 Gauss nodes and weights on [-1, 1]; cached, because their computation dominates the time of a
-    plan."""
-    return leggauss(120)
+def gauss_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss nodes and weights on [-1, 1]; cached, because their computation dominates the time of a plan."""
+    return leggauss(count)
 
 
 def duration(e: float, k: Number, mass: Number, velocity: Number) -> Number:

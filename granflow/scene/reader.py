@@ -8,6 +8,7 @@ Other YAML files, such as sweeps, get the same messages by `validated_file`.
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -183,7 +184,7 @@ def document_in(path: Path, kind: str = "scene") -> Document:
     Raises SceneError for a file that cannot be read, is not YAML 1.2, or is not a mapping.
     """
     try:
-        document = parse(_file_text(path, kind), str(path))
+        document = replace(_parsed(_file_text(path, kind), str(path)))  # overrides replace its root
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
     if document.root.entries is None:
@@ -193,6 +194,12 @@ def document_in(path: Path, kind: str = "scene") -> Document:
             f"{path}:1:1: {reason}, but a {kind} is a mapping of keys to values, such as title: My {kind}."
         )
     return document
+
+
+@lru_cache(4)
+def _parsed(text: str, source: str) -> Document:
+    """As `parse`; cached, because a study reads a scene for each of its runs."""
+    return parse(text, source)
 
 
 def _file_text(path: Path, kind: str) -> str:

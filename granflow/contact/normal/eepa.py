@@ -26,7 +26,6 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 from pydantic import Field
 
 from granflow.contact import theory
@@ -175,7 +174,7 @@ class EepaCollision:
 
         At rest at the first overlap, d = last + (first - last) cos(t) removes the singularity there.
         """
-        nodes, weights = leggauss(80)
+        nodes, weights = theory.gauss_nodes(80)
         share = 0.5 * (nodes + 1.0)
         if at_rest:
             angle = 0.5 * math.pi * share

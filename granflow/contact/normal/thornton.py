@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 from pydantic import Field
 
 from granflow.contact import theory
@@ -145,7 +144,7 @@ class ThorntonCollision:
 
 def _hertz_time(share: float) -> float:
     """Time over T_s of Hertz loading to a share of dmax: int_0^share du / sqrt(1 - u^2.5)."""
-    nodes, weights = leggauss(60)
+    nodes, weights = theory.gauss_nodes(60)
     end = math.asin(share)
     angle = 0.5 * end * (nodes + 1.0)
     integrand = np.cos(angle) / np.sqrt(1.0 - np.sin(angle) ** 2.5)
