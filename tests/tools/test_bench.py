@@ -1,10 +1,11 @@
 """tools/bench.py: logs of other codes, ratios, and the page of measurements."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from benchmark import cases, codes, ranks_page, tables
+from benchmark import cases, codes, phases, ranks_page, tables
 
 LOG = """LAMMPS (29 Sep 2021 - Update 2)
 Step Atoms v_above
@@ -65,3 +66,12 @@ def test_the_guide_contains_the_newest_measurements_on_ranks(tmp_path):
     guide.write_text(text, encoding="utf-8")
     results = Path(ranks_page.__file__).parent / "results"
     assert ranks_page.write(results, guide).read_text(encoding="utf-8") == text
+
+
+def test_phase_that_launches_hide_has_no_rates():
+    """On a loaded machine, a launch can take as long as a sampled step: the time of the phase is then 0."""
+    result = json.loads(sorted(Path(phases.__file__).parent.glob("results/*-phases.json"))[-1].read_text())
+    result["points"][0]["seconds"]["motion"] = 0.0
+    hidden, forces, *_ = phases.rows(result)
+    assert hidden[6:8] == ["-", "-"] and hidden[10].startswith("- (")
+    assert "-" not in forces[6:8]

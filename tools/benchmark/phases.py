@@ -182,7 +182,7 @@ def bounds(point: dict[str, Any], phase: str, result: dict[str, Any]) -> tuple[f
 
 
 def rows(result: dict[str, Any]) -> list[list[str]]:
-    """One row for each phase of each point."""
+    """One row for each phase of each point; rates are "-" for a phase that took no longer than a launch."""
     table = []
     for point in result["points"]:
         for phase, seconds in point["seconds"].items():
@@ -190,19 +190,25 @@ def rows(result: dict[str, Any]) -> list[list[str]]:
             operations = sum(point["operations"][phase].values())
             table.append([
                 point["case"], point["law"], str(point["threads"]), PHASES[phase], f"{1e6 * seconds:.0f}",
-                f"{point['bytes'][phase] / 1e6:.1f}", f"{point['bytes'][phase] / seconds / 1e9:.1f}",
-                f"{operations / seconds / 1e9:.2f}", f"{1e6 * memory_bound:.0f} us", f"{1e6 * arithmetic_bound:.0f} us",
-                f"{max(memory_bound, arithmetic_bound) / seconds:.0%} "
+                f"{point['bytes'][phase] / 1e6:.1f}", per_second(point["bytes"][phase] / 1e9, seconds, ".1f"),
+                per_second(operations / 1e9, seconds, ".2f"),
+                f"{1e6 * memory_bound:.0f} us", f"{1e6 * arithmetic_bound:.0f} us",
+                f"{per_second(max(memory_bound, arithmetic_bound), seconds, '.0%')} "
                 f"({'bytes' if memory_bound > arithmetic_bound else 'arithmetic'})",
                 share_of_loop(point, PHASES[phase], seconds),
             ])  # fmt: skip
     return table
 
 
+def per_second(amount: float, seconds: float, style: str) -> str:
+    """An amount over a time [s] as text; "-" without a time: launches on a loaded machine can hide a phase."""
+    return format(amount / seconds, style) if seconds else "-"
+
+
 def share_of_loop(point: dict[str, Any], phase: str, seconds: float) -> str:
     """Time of the loop of a phase in C++ over its time [s]; empty without one."""
     in_cpp = (point.get("loops") or {}).get(phase)
-    return "" if in_cpp is None else f"{in_cpp / seconds:.0%} ({1e6 * in_cpp:.0f} us)"
+    return "" if in_cpp is None else f"{per_second(in_cpp, seconds, '.0%')} ({1e6 * in_cpp:.0f} us)"
 
 
 def limit_lines(result: dict[str, Any]) -> list[str]:
