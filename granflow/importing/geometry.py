@@ -29,7 +29,7 @@ from granflow.importing.motion import mesh_motions, vibration
 from granflow.importing.region_walls import Face, RegionWall
 from granflow.importing.regions import region_of
 from granflow.importing.report import Entry
-from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.importing.scene_text import Draft, motions_of, quantities, quantity
 from granflow.importing.schedule import STAGED, stages_of_runs
 
 EDGE_SHARE = 0.02
@@ -424,14 +424,12 @@ def _put_wall(
     """
     shape = {key: value for key, value in keys.items() if key != "motion"}
     known: dict[str, tuple[dict[str, Any], list[Run]]] = deck.own("resting_walls", dict)
-    motion = keys.get("motion", [])
-    is_limited = all(
-        {"stages", "start"} & set(each) for each in (motion if isinstance(motion, list) else [motion])
-    )
+    motions = motions_of(keys)
+    is_limited = all({"stages", "start"} & set(each) for each in motions)
     for other, (equal, before) in known.items():
         if equal == shape and is_limited and before[-1].end <= runs[0].start + runs[0].slack:
             known[other] = (shape, [*before, *runs])
-            if motion:
+            if motions:
                 del known[other]
             stages = stages_of_runs(deck, [*before, *runs])
             draft.put(("walls", other), {**keys, **({} if stages is None else {"stages": stages})}, *entries)
@@ -440,7 +438,7 @@ def _put_wall(
     if stages is not None:
         keys["stages"] = stages
     free = region_walls.wall_name(draft, name)
-    if not motion:
+    if not motions:
         known[free] = (shape, runs)
     draft.put(("walls", free), keys, *entries)
     return free

@@ -5,7 +5,7 @@ The families put blocks into a `Draft`; `Draft.text` writes it. Numbers with uni
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -173,6 +173,12 @@ def _item(value: dict[str, Any], indent: str) -> list[str]:
         found.append(start if is_long else f"{start} {flow(each)}")
         found += [line for item in each for line in _item(item, f"{indent}    ")] if is_long else []
     return found
+
+
+def motions_of(keys: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The motions in the keys of a wall, whose value is a motion or a list of motions."""
+    motion = keys.get("motion", [])
+    return motion if isinstance(motion, list) else [motion]
 
 
 def _is_flat(value: dict[str, Any]) -> bool:

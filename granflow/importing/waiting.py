@@ -19,7 +19,7 @@ from granflow.importing.deck import Deck, Run
 from granflow.importing.language import DeckError, NotKnown
 from granflow.importing.meshes import Mesh
 from granflow.importing.report import Entry
-from granflow.importing.scene_text import Draft, plain_name, quantity
+from granflow.importing.scene_text import Draft, motions_of, plain_name, quantity
 from granflow.importing.schedule import stage_names
 from granflow.units import to_si
 
@@ -161,8 +161,7 @@ def _timed(draft: Draft) -> Iterator[dict[str, Any]]:
         if "insert" in group:
             yield group["insert"]
     for wall in (draft.get("walls") or {}).values():
-        motion = wall.get("motion", [])
-        yield from motion if isinstance(motion, list) else [motion]
+        yield from motions_of(wall)
 
 
 def _follow_stages(deck: Deck, loops: list[Loop], keys: dict[str, Any]) -> None:

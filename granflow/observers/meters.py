@@ -6,7 +6,7 @@ and at the end its result for `result.json`. A row that follows the one before t
 see `observers.metrics`.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, nan, sqrt
@@ -190,17 +190,16 @@ class FlowCount:
                 return end[1:] - begin[1:], mass
         return np.zeros(2), 0.0
 
-    @property
-    def remark(self) -> str:
-        """A sentence on a steady mean of few passages; empty with more, or without any."""
+    def remarks(self) -> Iterator[str]:
+        """Yield a sentence on a steady mean of few passages; none with more, or without any."""
         (count, squares), mass = self._steady_crossings()
         if not 0 < count < FEWEST_PASSAGES:
-            return ""
+            return
         found = self.result()
         error = sqrt(2.0) * _counting_error(np.array([count, squares]), mass)
         passages = f"{count:.0f} passage{'s' if count > 1 else ''}"
         state = "NaN" if found["mass_flow"] != found["mass_flow"] else "uncertain"
-        return (
+        yield (
             f"mass_flow is {state}: the last stage with flow has {passages}, and the standard error of the "
             f"flow of its middle half, for independent passages, is {100.0 * error:.2g} % (below "
             f"{100.0 * sqrt(2.0 / FEWEST_PASSAGES):.2g} % from {FEWEST_PASSAGES} passages on). Simulate "

@@ -180,13 +180,13 @@ class TimeSeries(ScheduledObserver):
 
     def remarks(self) -> list[str]:
         """Return sentences on metrics and flow meters, such as the reason why a last value is NaN."""
-        found = {
-            f"{kind}.{name}": [meter.total.remark] if isinstance(meter, FlowCounter) else meter.remarks()
+        return [
+            f"output.{kind}.{name}: {sentence}."
             for kind, meters in self.meters.items()
             for name, meter in meters.items()
             if isinstance(meter, FlowCounter | MetricMeter)
-        }
-        return [f"output.{name}: {each}." for name, sentences in found.items() for each in sentences if each]
+            for sentence in (meter.total if isinstance(meter, FlowCounter) else meter).remarks()
+        ]
 
     def _named(self, kind: str) -> Iterator[tuple[str, FlowCount | WallForceMeter | MetricMeter]]:
         """Yield the meters of a kind by name; for flow meters the counts, of which parts have names of their

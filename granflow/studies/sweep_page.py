@@ -102,7 +102,7 @@ MOST_PANELS = 6
 def figure_of(table: ShownTable) -> Drawing | None:
     """Each quantity over each parameter, with the standard errors of the means; None without any number, or
     without parameters."""
-    rows = [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
+    rows = table.rows_with_numbers
     if not rows or not table.parameters:
         return None
     quantities = table.quantities[:MOST_PANELS]
@@ -177,7 +177,7 @@ def frame_of(table: ShownTable) -> Any:
     """The points with at least one number as a pandas DataFrame: parameters, quantities, run directories."""
     import pandas
 
-    rows = [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
+    rows = table.rows_with_numbers
     columns: dict[str, Any] = {
         table.parameter_label(name): [table.value(row, name) for row in rows] for name in table.parameters
     }

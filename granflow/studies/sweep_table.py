@@ -275,6 +275,11 @@ class ShownTable:
         """The points, with SI numbers."""
         return self.table.rows
 
+    @property
+    def rows_with_numbers(self) -> list[PointRow]:
+        """The points with at least one number."""
+        return [row for row in self.rows if any(isfinite(row.mean(name)) for name in self.quantities)]
+
     def value(self, row: PointRow, parameter: str) -> Any:
         """The value of a parameter; text unchanged."""
         found = row.point.values[parameter]
