@@ -154,14 +154,16 @@ class Pair:
         found.arm = radius - 0.5 * found.overlap
         if ti.static(self.cohesion_at_distance):
             found.normal = ti.cast(direction, self.real)
-        if ti.static(self.features.viscous_cohesion):
+        velocity_rel_to_wall = found.velocity_rel  # without the velocity of a belt
+        if ti.static(self.features.viscous_cohesion or self.features.rate_dependent):
             if self.in_range(i, j, found.overlap):
                 wall_velocity_now = self.geometry.velocity(
                     face, pose, self.particles.position[i] - found.arm * direction
                 )
-                found.velocity_rel = self.particles.velocity_synchronized[i] - ti.cast(
+                velocity_rel_to_wall = self.particles.velocity_synchronized[i] - ti.cast(
                     wall_velocity_now, self.real
                 )
+                found.velocity_rel = velocity_rel_to_wall
                 if ti.static(self.features.surface_velocity):
                     found.velocity_rel -= self.geometry.surface_velocity(face, pose, direction)
         if found.overlap > 0.0:
@@ -177,12 +179,7 @@ class Pair:
             found.overlap_rate_half = -found.velocity_rel_half.dot(found.normal_half)
             found.overlap_rate = -found.velocity_rel_half.dot(found.normal)
             if ti.static(self.features.rate_dependent):
-                wall_velocity_now = ti.cast(
-                    self.geometry.velocity(face, pose, position - found.arm * direction), self.real
-                )
-                found.overlap_rate = -(self.particles.velocity_synchronized[i] - wall_velocity_now).dot(
-                    found.normal
-                )
+                found.overlap_rate = -velocity_rel_to_wall.dot(found.normal)
             found.arm_half = found.arm + 0.25 * dt * found.overlap_rate_half
             if ti.static(self.features.surface_velocity):  # it does not turn the normal
                 found.velocity_rel_half -= self.geometry.surface_velocity(face, pose, found.normal_half)
