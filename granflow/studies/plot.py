@@ -21,6 +21,7 @@ from granflow.io.tables import (
     collision_table,
     has_collisions,
     is_number,
+    read_table,
     series_in,
     table_of_run,
 )
@@ -32,8 +33,10 @@ from granflow.studies.interactive_plots import (
     common_title,
     curve_layout,
     escaped,
+    level_text,
     library,
     plain_numbers,
+    short_names,
     thinned,
 )
 from granflow.studies.page import write_page
@@ -343,7 +346,7 @@ def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequenc
     for quantities without a finite value or with values above LARGEST, and for more curves than MOST_CURVES.
     """
     found = [series_of(source, x) for source in sources]
-    names = short_names(sources)
+    names = legend_names(sources)
     panels: dict[str, list[tuple[str, SeriesColumn, SeriesColumn]]] = {}
     drawn: dict[str, list[np.ndarray]] = {text: [] for text in y}
     for name, (path, series) in zip(names, found, strict=True):
@@ -404,9 +407,36 @@ def _panel(curves: Sequence[tuple[str, SeriesColumn, SeriesColumn]]) -> Panel:
     )
 
 
-def short_names(sources: Sequence[Path]) -> list[str]:
-    """The last parts of the paths: as few as make all different."""
+def legend_names(sources: Sequence[Path]) -> list[str]:
+    """The varied values of runs of a sweep; otherwise the last parts of the paths, as few as make all
+    different."""
+    runs = [_varied_values(source) for source in sources]
+    varied = [name for name in runs[0] if len({run.get(name) for run in runs}) > 1]
+    short = short_names(varied)
+    named = [", ".join(f"{short[name]} {run.get(name, '-')}" for name in varied) for run in runs]
+    if all(runs) and len(set(named)) == len(named):
+        return named
     return ["/".join(parts) for parts in distinct_endings([source.resolve().parts for source in sources])]
+
+
+def _varied_values(source: Path) -> dict[str, str]:
+    """Parameters and seed of a run of a sweep by name; empty for another run."""
+    run = source.resolve()
+    run = run.parent if run.is_file() else run
+    path = run.parent.parent / "runs.csv"
+    table = read_table(path) if path.exists() else None
+    if table is None or not {"seed", "run"} <= set(table.names):
+        return {}
+    for _, cells in table.complete().rows:
+        found = dict(zip(table.names, cells, strict=True))
+        if found["run"] == run.name:
+            names = table.names[: table.names.index("seed") + 1]
+            return {name: level_text(_number_or_text(found[name]), 4) for name in names}
+    return {}
+
+
+def _number_or_text(cell: str) -> float | str:
+    return float(cell) if is_number(cell) else cell
 
 
 def _rows(series: TimeSeriesTable, stages: Sequence[str], path: Path) -> np.ndarray:

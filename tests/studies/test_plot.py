@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -99,6 +100,13 @@ def test_quantities_of_one_unit_share_a_panel_and_a_stage_selects_rows(run):
     panels = panels_of([run, run / "timeseries.csv"], "time", names)
     assert [panel.y_title for panel in panels] == ["wall force (N)", "wall pressure, lid (Pa)"]
     assert [len(panel.curves) for panel in panels] == [4, 2]
+    runs = run.parent / "sweep" / "runs"
+    shutil.copytree(run, runs / "0a1b")
+    shutil.copytree(run, runs / "c2d3")
+    head = "pairs.a-a.friction,particles.a.count,seed,status,run"
+    (runs.parent / "runs.csv").write_text(f"{head}\n0.30000000000000004,5,1,done,0a1b\n0.4,5,2,done,c2d3\n")
+    (panel,) = panels_of([runs / "0a1b", runs / "c2d3" / "timeseries.csv"], "time", ["slope"])
+    assert [curve.name for curve in panel.curves] == ["a-a.friction 0.3, seed 1", "a-a.friction 0.4, seed 2"]
     (panel,) = panels_of([run], "wall_displacement.lid", ["wall_pressure.lid"], ["load"])
     assert panel.curves[0].x.tolist() == [0.0, 1e-3] and panel.curves[0].y.tolist() == [0.0, 2e3]
     with pytest.raises(GranflowError, match=r"no rows of the stage press; its stages are: load, hold\."):
