@@ -300,7 +300,7 @@ def closing_table(result: Result, title: str = "Result", moving: Collection[str]
 
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
-    table.add_column(justify="right")
+    table.add_column(justify="right", no_wrap=True)
     table.add_column(justify="left")
     for section in (
         _run_rows(result),

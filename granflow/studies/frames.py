@@ -17,6 +17,7 @@ import numpy as np
 from granflow import Scene
 from granflow.errors import GranflowError
 from granflow.io.frames import file_at, is_empty, listed_frames, read_mesh, require_directory
+from granflow.scene.blocks.walls.box import FACES
 from granflow.units import UnitError, to_si
 
 # The frames of a run, and selections of them
@@ -470,9 +471,9 @@ def wall_points(
     """
     planes = planes_of(walls, scene)
     corners = [walls.points_of([number for number in walls.numbers if number not in planes])]
-    corners += [
-        np.clip(each, *plane_box(each, particles)) for each in map(walls.points_of, ([k] for k in planes))
-    ]
+    for number in planes:
+        plane = walls.points_of([number])
+        corners.append(np.clip(plane, *_up_to_box(plane_box(plane, particles), number, walls, scene)))
     points = np.concatenate(corners)
     return points if domain is None else np.clip(points, *domain)
 
@@ -499,12 +500,36 @@ def plane_box(plane: np.ndarray, particles: np.ndarray) -> np.ndarray:
     return np.array([low - margin, high + margin])
 
 
-def drawn_box(plane: np.ndarray, particles: np.ndarray) -> np.ndarray:
-    """Box (2, 3) [m] to which the drawing of a plane is clipped: `plane_box`, unbounded along the normal."""
-    low, high = plane_box(plane, particles)
-    extent = np.ptp(plane, axis=0)
-    is_normal = extent <= FLAT * extent.max()
-    return np.array([np.where(is_normal, -np.inf, low), np.where(is_normal, np.inf, high)])
+def drawn_boxes(walls: FrameWalls, scene: Scene | None, particles: np.ndarray) -> dict[int, np.ndarray]:
+    """Boxes (2, 3) [m] to which the drawings of the unbounded planes are clipped, by number.
+
+    They are those of `plane_box`, unbounded along the normal; a face of a box extends to its other faces.
+    """
+    found = {}
+    for number in planes_of(walls, scene):
+        plane = walls.points_of([number])
+        low, high = plane_box(plane, particles)
+        extent = np.ptp(plane, axis=0)
+        is_normal = extent <= FLAT * extent.max()
+        box = np.array([np.where(is_normal, -np.inf, low), np.where(is_normal, np.inf, high)])
+        found[number] = _up_to_box(box, number, walls, scene)
+    return found
+
+
+def _up_to_box(box: np.ndarray, number: int, walls: FrameWalls, scene: Scene | None) -> np.ndarray:
+    """A box (2, 3) [m] around a plane; if the plane is a face of a box, up to the other faces of that box
+    which are normal to an axis."""
+    found = box.copy()
+    names = list(scene.walls) if scene is not None else []
+    own, _, own_face = names[number].rpartition(".")
+    for other in planes_of(walls, scene):
+        name, _, face = names[other].rpartition(".")
+        if own and name == own and {face, own_face} <= set(FACES):
+            axis, is_high = divmod(FACES.index(face), 2)
+            points = walls.points_of([other])
+            if np.isfinite(found[is_high, axis]) and np.ptp(points[:, axis]) <= FLAT * np.ptp(points):
+                found[is_high, axis] = points[0, axis]
+    return found
 
 
 def corners_of(box: np.ndarray) -> np.ndarray:

@@ -36,10 +36,9 @@ from granflow.studies.frames import (
     bounding_points,
     camera_for,
     domain_of,
-    drawn_box,
+    drawn_boxes,
     frames_of,
     particle_points,
-    planes_of,
     read_force_chains,
     read_particles,
     read_walls,
@@ -195,7 +194,7 @@ def setup_for(
     size = style.size or _size(aspect_of(view, points), FILM_HEIGHT if rate else HEIGHT)
     camera = camera_for(view, points, (size[0] - _strip_width(size[1])) / size[1], style.zoom)
     cut = _cut(view, points) if style.cut else None
-    scale = _scale(style, scene, sampled(frames, COLOR_FRAMES))
+    scale = _scale(style, scene, sampled(frames, COLOR_FRAMES), view)
     decimals = decimals_of([frame.time for frame in whole])
     speed = speed_of([frame.time for frame in frames], rate) if rate else ""
     return PictureSetup(style, scene, scale, camera, size, domain, particles, cut, decimals, speed)
@@ -234,9 +233,9 @@ def _cut(view: View, points: np.ndarray) -> HalfSpace:
     )
 
 
-def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) -> "Scale":
+def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame], view: View) -> "Scale":
     """Color scale of a style. Raises GranflowError for force chains if the run has no contacts, and for an
-    array that its walls do not have."""
+    array that its walls do not have or whose walls are edge-on."""
     if style.chains:
         forces = [chains.normal_force for chains in map(read_force_chains, frames) if chains is not None]
         if not forces:
@@ -246,16 +245,17 @@ def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) ->
             )
         return scale_for(CHAIN_COLOR, forces, limits=style.limits)
     if style.walls is not None:
-        return _scale_of_walls(style.walls, frames, style.limits)
+        return _scale_of_walls(style, frames, view)
     particles = [each for each in map(read_particles, frames) if len(each.radius)]
     is_vector = any(np.ndim(each.arrays.get(style.color, 0)) == 2 for each in particles)
     values = [values_of(each.arrays, style.color) for each in particles]
     return scale_for(style.color, values, is_vector, _names(scene), style.limits)
 
 
-def _scale_of_walls(color: str, frames: Sequence[Frame], limits: tuple[float, float] | None) -> "Scale":
+def _scale_of_walls(style: PictureStyle, frames: Sequence[Frame], view: View) -> "Scale":
     """Color scale of an array of the walls: all its values count, because few triangles can have most of
     them."""
+    color = style.walls or ""
     walls = [each for each in map(read_walls, frames) if each is not None]
     if not walls:
         raise GranflowError(
@@ -265,8 +265,24 @@ def _scale_of_walls(color: str, frames: Sequence[Frame], limits: tuple[float, fl
     found = np.concatenate([np.zeros(0), *values])
     if not np.isfinite(found).any():
         raise GranflowError(f"--walls {color}: no wall has a value of it.")
+    if not any(_shows_values(each, color, view) for each in walls):
+        raise GranflowError(
+            f"--view {style.view}: all walls with {color} are edge-on; choose another view, such as iso."
+        )
     is_vector = "." not in color and any(part.ndim == 2 for each in walls for part in each.arrays[color])
-    return scale_for(color, values, is_vector, limits=limits, percentiles=(0.0, 100.0))
+    return scale_for(color, values, is_vector, limits=style.limits, percentiles=(0.0, 100.0))
+
+
+def _shows_values(walls: FrameWalls, color: str, view: View) -> bool:
+    """Whether a polygon with a value of an array of the walls has an area in a picture; always in
+    perspective."""
+    for corners, values in zip(walls.polygons, wall_values_of(walls, color), strict=True):
+        points = walls.points[corners[np.isfinite(values)]].astype(np.float64)
+        normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+        shares = np.abs(normals @ view.toward) / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+        if (shares > 1e-6).any() or (view.perspective and len(points)):
+            return True
+    return False
 
 
 def wall_values_of(walls: FrameWalls, color: str) -> tuple[np.ndarray, ...]:
@@ -274,7 +290,7 @@ def wall_values_of(walls: FrameWalls, color: str) -> tuple[np.ndarray, ...]:
     if not walls.arrays:
         raise GranflowError(
             f"--walls {color}: the walls have no arrays. output.wall_forces gives pressure and traction, "
-            "wear of a wall gives wear_depth, and a belt gives surface_velocity."
+            "wear of a wall gives wear_depth, a belt surface_velocity, its temperature temperature."
         )
     kinds = range(len(walls.polygons))
     return tuple(
@@ -308,8 +324,7 @@ def _picture(renderer: "Renderer", setup: PictureSetup, frame: Frame) -> np.ndar
     if setup.cut is not None:
         particles = particles.selected(setup.cut.contains(particles.position))
     walls = read_walls(frame)
-    planes = {k: walls.points_of([k]) for k in planes_of(walls, setup.scene)} if walls is not None else {}
-    boxes = {number: drawn_box(plane, setup.particles) for number, plane in planes.items()}
+    boxes = {} if walls is None else drawn_boxes(walls, setup.scene, setup.particles)
     colored: frozenset[int] = frozenset()
     if walls is not None and setup.style.walls is not None:
         walls, colored = _colored(walls, setup.style.walls, setup.scale)

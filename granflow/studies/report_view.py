@@ -20,11 +20,10 @@ from granflow.studies.frames import (
     FrameWalls,
     bounding_points,
     domain_of,
-    drawn_box,
+    drawn_boxes,
     filled_frames,
     frames_of,
     outermost_points,
-    planes_of,
     read_particles,
     read_walls,
     sampled,
@@ -332,10 +331,9 @@ def _wall_headers(
     shown."""
     domain = domain_of(scene)
     whole = np.array([[-np.inf] * 3, [np.inf] * 3]) if domain is None else domain
-    planes = planes_of(walls, scene)
-    parts = [(walls.selected([number for number in walls.numbers if number not in planes]), whole)]
-    for number in planes:
-        low, high = drawn_box(walls.points_of([number]), outermost)
+    boxes = drawn_boxes(walls, scene, outermost)
+    parts = [(walls.selected([number for number in walls.numbers if number not in boxes]), whole)]
+    for number, (low, high) in boxes.items():
         parts.append(
             (walls.selected([number]), np.array([np.maximum(low, whole[0]), np.minimum(high, whole[1])]))
         )

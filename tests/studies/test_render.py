@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
 from granflow.studies.frames import (
     OPENING,
     VIEWS,
+    FrameWalls,
     camera_for,
     corners_of,
+    drawn_boxes,
     frames_of,
     read_force_chains,
     read_particles,
@@ -101,6 +104,21 @@ def test_all_points_are_visible_and_fill_the_picture(text):
     assert (sideways.up.tolist(), sideways.right.tolist()) == ([0, 1, 0], [1, 0, 0])
 
 
+def test_faces_of_a_box_end_at_its_other_faces():
+    """Planes of half width 10 m at x = 0, x = 3 and z = -1, around particles from 0 to 2; the top is open."""
+    square = np.array([[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]])
+    points = [np.insert(square, axis, at, axis=1) for axis, at in ((0, 0.0), (0, 3.0), (2, -1.0), (2, -2.0))]
+    walls = FrameWalls(np.concatenate(points), (np.arange(16).reshape(4, 4),), (np.arange(4),))
+    plane = SimpleNamespace(shape="plane")
+    scene = SimpleNamespace(walls=dict.fromkeys(("bin.left", "bin.right", "bin.bottom", "floor"), plane))
+    particles = corners_of(np.array([[0.0] * 3, [2.0] * 3]))
+    boxes = drawn_boxes(walls, scene, particles)
+    over = 0.05 * 2.0
+    np.testing.assert_allclose(boxes[0], [[-np.inf, -over, -1.0], [np.inf, 2.0 + over, 2.0 + over]])
+    np.testing.assert_allclose(boxes[2], [[0.0, -over, -np.inf], [3.0, 2.0 + over, np.inf]])
+    np.testing.assert_allclose(boxes[3], [[-over, -over, -np.inf], [2.0 + over, 2.0 + over, np.inf]])
+
+
 @pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="needs the plot extra")
 def test_pictures_and_film(run):
     """A film has all frames. In a separate process: if no picture can be drawn, VTK aborts instead of raising."""
@@ -111,11 +129,14 @@ def test_pictures_and_film(run):
     write_vtu(run / "walls_0003.vtu", VtuMesh.of_cells("triangle", *FLOOR, cells))
     chains = ["--chains", "--view=top", "--cut", "--color=velocity.z", "--size=640x480", f"--out={run}/a.png"]
     worn = ["--walls=wear_depth", "--view=top", "--size=640x480", f"--out={run}/worn.png"]
+    edge_on = ["--walls=wear_depth", "--view=front"]
     film = ["--film", "--size=320x240", "--fps=4"]
     program = "import sys\nfrom granflow.cli.main import main\n"
     program += "\n".join(f"assert main({['render', str(run), *each]}) == 0" for each in (chains, worn, film))
+    program += f"\nassert main({['render', str(run), *edge_on]}) == 2"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=250)
     assert done.returncode == 0, done.stderr[-2000:]
+    assert "--view front: all walls with wear_depth are edge-on" in done.stderr
     for name in ("a.png", "worn.png"):
         picture = np.asarray(Image.open(run / name))
         assert picture.shape == (480, 640, 3)
