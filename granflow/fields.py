@@ -707,6 +707,7 @@ WALL_ARRAY_QUANTITIES = by_name(
         Quantity("wear_depth", "", "m", "worn volume per area since the start, if a wall has `wear`"),
         Quantity("wear_normal_work", "", "J/m2", "work of the normal forces per area, likewise"),
         Quantity("wear_tangential_work", "", "J/m2", "work of the friction forces per area, likewise"),
+        Quantity("temperature", "T", "K", "temperature, if a wall has one"),
     )
 )
 """Arrays of wall files, one entry per triangle."""

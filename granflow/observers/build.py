@@ -91,6 +91,7 @@ def observers_for(
                 unbounded=[wall.name for wall in plan.walls if not wall.spec.is_bounded],
                 has_belts=plan.features.surface_velocity,
                 wear_areas=plan.wear_areas,
+                temperatures=_wall_temperatures(plan),
                 compression=output.compression,
             )
         )
@@ -108,6 +109,12 @@ def _max_coordinate(plan: Plan) -> float | None:
     if plan.scene.domain.on_exit == "expand":
         return None
     return float(np.abs([plan.scene.domain.min, plan.scene.domain.max]).max())
+
+
+def _wall_temperatures(plan: Plan) -> dict[str, float]:
+    """Temperatures [K] of the walls that have one, by name."""
+    found = {wall.name: getattr(wall.spec, "temperature", None) for wall in plan.walls}
+    return {name: temperature for name, temperature in found.items() if temperature is not None}
 
 
 def _history_units(plan: Plan) -> dict[str, str]:

@@ -266,6 +266,7 @@ class WallFrames(Frames):
     has_belts:  write the cell array `surface_velocity` [m/s], which is 0 on walls without one
     wear_areas: areas (k,) [m2] of the rows of `Snapshot.wear` of each wall with wear, None for an infinite
                 wall; the cell arrays are WEAR_ARRAYS
+    temperatures:  [K] of the walls that have one; the cell array `temperature` is NaN on the others
     """
 
     stem = "walls"
@@ -281,6 +282,7 @@ class WallFrames(Frames):
         unbounded: Collection[str] = (),
         has_belts: bool = False,
         wear_areas: Mapping[str, np.ndarray | None] | None = None,
+        temperatures: Mapping[str, float] | None = None,
         compression: Compression = "zlib",
     ) -> None:
         super().__init__(directory, interval, start, writer, compression)
@@ -289,6 +291,7 @@ class WallFrames(Frames):
         self._unbounded = frozenset(unbounded)
         self._has_belts = has_belts
         self._wear_areas = dict(wear_areas or {})
+        self._temperatures = dict(temperatures or {})
         self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
@@ -330,6 +333,9 @@ class WallFrames(Frames):
         if self._wear_areas:
             columns = np.concatenate(wear).astype(np.float32)
             cell_data |= {name: columns[:, k] for k, name in enumerate(WEAR_ARRAYS)}
+        if self._temperatures:
+            of_wall = np.array([self._temperatures.get(name, np.nan) for name in self._triangles])
+            cell_data["temperature"] = of_wall[cell_data["wall"]].astype(np.float32)
         mesh = VtuMesh.of_cells(
             "triangle",
             np.concatenate(points),

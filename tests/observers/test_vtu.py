@@ -81,12 +81,14 @@ def test_walls_follow_their_pose_and_absent_walls_are_omitted(tmp_path):
         "gate": turned(0, present=False),
         "belt": turned(0, offset=(5.0, -3.0, 2)),
     }
-    WallFrames(tmp_path, 0.1, triangles, unbounded=["belt"]).observe(snapshot_of(walls=walls))
+    frames = WallFrames(tmp_path, 0.1, triangles, unbounded=["belt"], temperatures={"belt": 320.0})
+    frames.observe(snapshot_of(walls=walls))
     mesh = meshio.read(tmp_path / "walls_0000.vtu")
     np.testing.assert_array_equal(mesh.points[:4], walls["floor"].moved(SQUARE[0]))
     np.testing.assert_allclose(mesh.points[4:], SQUARE[0] + [0, 0, 2], atol=1e-12)
     np.testing.assert_array_equal(mesh.cells_dict["triangle"], [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     np.testing.assert_array_equal(mesh.cell_data["wall"][0], [0, 0, 2, 2])
+    np.testing.assert_array_equal(mesh.cell_data["temperature"][0], [np.nan, np.nan, 320.0, 320.0])
     names = {name: int(number[0]) for name, number in mesh.field_data.items() if name.startswith("wall.")}
     assert names == {"wall.floor": 0, "wall.gate": 1, "wall.belt": 2}
 
