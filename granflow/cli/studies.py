@@ -550,6 +550,7 @@ def sweep(options: argparse.Namespace) -> int:
     Returns 0 if all runs are done and meet their expectations, and all yield loci of the key `evaluate`
     exist, 1 otherwise, and 130 or 143 after a stop signal; the same command then continues the sweep.
     """
+    from granflow.studies.run_process import from_working_directory
     from granflow.studies.sweep import SweepStopped, read_sweep, run_sweep
     from granflow.studies.sweep_table import warning_sentence
     from granflow.studies.yield_locus import remarks_of, shown_table
@@ -577,7 +578,7 @@ def sweep(options: argparse.Namespace) -> int:
         [(s, str(statuses.count(s))) for s in dict.fromkeys(statuses)],
     )
     for reason in dict.fromkeys(row.outcome.reason for row in table.rows if row.outcome.reason):
-        say(reason)
+        say(from_working_directory(reason, out))
     if warned := warning_sentence(table.rows):
         say(warned)
     if table.loci:
@@ -591,7 +592,7 @@ def sweep(options: argparse.Namespace) -> int:
 
 def run_one_part(study: "SweepFile", out: Path, options: argparse.Namespace) -> int:
     """Carry out one part of the runs of a sweep, which writes no tables; exit codes as of `sweep`."""
-    from granflow.studies.run_process import DONE
+    from granflow.studies.run_process import DONE, from_working_directory
     from granflow.studies.sweep import Part, SweepStopped, run_part
 
     part = Part(*options.part)
@@ -606,7 +607,7 @@ def run_one_part(study: "SweepFile", out: Path, options: argparse.Namespace) -> 
         return print_error("stopped; repeating the command continues this part.", exit_code_of(signals[0]))
     for each in outcomes.values():
         if each.reason:
-            say(each.reason)
+            say(from_working_directory(each.reason, out))
     done = sum(each.status == DONE for each in outcomes.values())
     say(
         f"Part {part.number} of {part.count}: {done} of {len(outcomes)} runs are done. When all parts have "
@@ -640,8 +641,9 @@ def show_points(study: "SweepFile", out: Path, options: argparse.Namespace) -> i
         say(f"refused: {reason}")
     say(
         f"{len(left)} runs are to do, {len(runs) - len(left)} have ended, {len(refused)} are refused. "
-        f"Estimated computing time of those to do: {duration(sum(left))}, without compilation and output, "
-        "with one thread of a usual processor; divide it by the number of simultaneous runs."
+        f"Estimated computing time of those to do: {duration(sum(left))}, without compilation, output "
+        "and the start of processes (about 1 s for each run), with one thread of a usual processor; divide "
+        "it by the number of simultaneous runs."
     )
     return 1 if refused else 0
 

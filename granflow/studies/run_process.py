@@ -8,6 +8,7 @@ resumed.
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -398,7 +399,7 @@ def _reason(directory: Path) -> str:
     """The messages of a process on one line: without progress and warnings; of a traceback the last line.
 
     The directory of the run is shown as runs/HASH, so that the reason does not depend on the place of the
-    study.
+    study; see `from_working_directory`.
     """
     text = (directory / MESSAGES).read_text(encoding="utf-8", errors="replace")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
@@ -411,3 +412,12 @@ def _reason(directory: Path) -> str:
         line.removeprefix("granflow: ") for line in problems if not line.startswith("granflow: warning:")
     ]
     return " ".join(words).replace(str(directory), f"{directory.parent.name}/{directory.name}")
+
+
+def from_working_directory(reason: str, out: Path) -> str:
+    """A reason with the path of each run from the working directory, so that its commands can be repeated
+    there.
+
+    out:  directory of the study
+    """
+    return re.sub(r"(?<![\w/])runs/(?=[0-9a-f]{16}\b)", lambda _: f"{out}/runs/", reason)

@@ -79,6 +79,7 @@ def test_parts_carry_out_their_runs_and_the_whole_sweep_writes_the_same_table(ho
     for number, count in ((3, 1), (1, 3)):
         main([*command, "--jobs", "2", "--part", f"{number}/3"])
         assert len(starts(out)) == count and not (out / "sweep.csv").exists()
+    assert f"State in {out}/runs/" in capsys.readouterr().out
     executed(out)
     assert len(starts(out)) == 4 and rows(out) == rows(home / "whole")
 
