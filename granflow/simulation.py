@@ -152,6 +152,7 @@ class Simulation:
                 communicator=communicator,
                 allow_changes=allow_changes,
                 allow_long=allow_long,
+                writes_files=out is not None,
             )
             self.files.create()
             engine = engine_for(begin.plan, backend, communicator)
@@ -451,6 +452,7 @@ def run_start(
     communicator: "Communicator | None",
     allow_changes: bool,
     allow_long: bool,
+    writes_files: bool,
 ) -> RunStart:
     """Decide on a run from the arguments of `Simulation`, whose errors it raises."""
     if given_plan is None:
@@ -470,7 +472,8 @@ def run_start(
         names = [name_of(observer) for observer in observers]
         refuse_other_functions(checkpoint, plan.external_forces, names, allow_changes)
     initial, earlier, of_particles = initial_state(plan, given_particles, checkpoint)
-    warnings = [*plan.warnings, *of_particles]
+    of_files = {each.warning for each in plan.forecasts if each.of_files and not writes_files}
+    warnings = [*(each for each in plan.warnings if each not in of_files), *of_particles]
     if checkpoint is not None:
         warnings += filter(None, [engine_difference(checkpoint)])
     return RunStart(

@@ -76,6 +76,14 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
     for name, group in scene.particles.items():
         sentences += group.shape.warnings(partial(_key_and_place, scene, "particles", name))
     yield from (Forecast("", "", sentence, sentence) for sentence in sentences)
+    end = max(end for _, end in times.values())
+    if scene.output.interval > end:
+        place = _key_and_place(scene, "output", "interval")
+        sentence = (
+            f"{place} is {scene.output.interval:g} s, but the run lasts at most {end:g} s: only the first "
+            "and the last state are written. Choose a shorter interval."
+        )
+        yield Forecast("", "", sentence, sentence, of_files=True)
 
 
 def conduction_areas(scene: Scene) -> Iterator[Forecast]:
@@ -417,6 +425,9 @@ FILE_ROUNDING = 1e-3
 radius."""
 LIGHTEST = 20.0
 """Density [kg/m3] of light foams. There is no upper limit: scaled densities are common."""
+DIMENSIONLESS = 0.25
+"""Diameter [m] of the smallest particle from which a low density is that of dimensionless numbers, such as
+those of LAMMPS in units lj with diameters of about 1."""
 MOST_FRICTION = 5.0
 """Coefficient of friction above that of all granular materials."""
 FASTEST_SURFACE = 10.0
@@ -434,9 +445,10 @@ def value_rows(
     """
     scene = plan.scene
     end = max(end for _, end in times.values())
+    smallest = min(group.diameters[0] for group in scene.particles.values())
 
     for name, material in scene.materials.items():
-        is_light = material.density < LIGHTEST
+        is_light = material.density < LIGHTEST and smallest < DIMENSIONLESS
         text = (
             f" is {material.density:.3g} kg/m3, less than light foams: check the unit (2.5 g/cm3 is 2500 "
             "kg/m3)."
@@ -525,11 +537,6 @@ def value_rows(
         yield ("run", "velocity_max"), given < SLOW * fall, text
 
     for path, interval in _output_intervals(scene):
-        text = (
-            f" is {interval:g} s, but the run lasts at most {end:g} s: only the first and the last state are "
-            "written. Choose a shorter interval."
-        )
-        yield path, path == ("output", "interval") and interval > end, text
         for period, wall in _vibration_periods(scene).items():
             halves = round(2.0 * interval / period)
             is_odd = halves % 2 == 1 and abs(2.0 * interval / period / halves - 1.0) <= PERIOD_TOLERANCE

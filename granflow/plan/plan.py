@@ -113,6 +113,7 @@ class Forecast:
     cause, overlap:  of a forecast overlap: its cause, and the overlap over the smaller radius; None and 0 for
                      others
     force:           largest contact force [N] of a static pressure, for the pair with the largest overlap
+    of_files:        the warning concerns written files only
     """
 
     name: str
@@ -122,6 +123,7 @@ class Forecast:
     cause: Cause | None = None
     overlap: float = 0.0
     force: float = 0.0
+    of_files: bool = False
 
 
 # The plan.

@@ -84,7 +84,9 @@ def test_a_run_ends_with_the_stages_or_continues_beyond_them(taichi_f64):
 
 
 def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
-    with pytest.raises(ZeroDivisionError), gf.Simulation(falling(), out=tmp_path / "out") as simulation:
+    scene = falling(output=OUTPUT | {"interval": 1.0})
+    with pytest.raises(ZeroDivisionError), gf.Simulation(scene, out=tmp_path / "out") as simulation:
+        assert any(each.startswith("output.interval") for each in simulation.warnings)
         simulation.run(until=1e-3)
         raise ZeroDivisionError
     assert list((tmp_path / "out").glob("checkpoint_*.npz"))
@@ -95,7 +97,9 @@ def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
 def test_stages_begin_after_the_previous_ones_have_ended(taichi_f64):
     """The end of a part of a run is reached to rounding, within the stage."""
     stages = [{"name": name, "duration": 1e-3} for name in ("first", "second")]
-    with gf.Simulation(falling(run={"velocity_max": 1.0}, stages=stages)) as simulation:
+    scene = falling(run={"velocity_max": 1.0}, stages=stages, output=OUTPUT | {"interval": 1.0})
+    with gf.Simulation(scene) as simulation:
+        assert not any("output.interval" in each for each in simulation.warnings)  # no files are written
         simulation.run(until=np.nextafter(3 * simulation.time_step, 1.0))
         assert simulation.step_count == 3 and simulation.stage == "first"
         simulation.run(until=1.5e-3)

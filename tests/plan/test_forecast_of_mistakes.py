@@ -120,7 +120,9 @@ REPOSE = "output.metrics={heap: {kind: repose, surface: cone}}"
 
 
 @pytest.mark.parametrize(("sentence", "wrong", "right"), [
-    ("materials.glass.density .* is 2.5 kg/m3, less than light foams", ["materials.glass.density=2.5"], []),
+    ("materials.glass.density .* is 2.5 kg/m3, less than light foams", ["materials.glass.density=2.5"],
+     ["materials.glass.density=2.5", "particles.beads.diameter=1 m", "domain.max=[9, 9, 99]", "run.velocity_max=1",
+      "particles.beads.insert.region={box: {min: [0, 0, 0], max: [9, 9, 99]}}"]),
     ("young_modulus .* is 5e[+]04 GPa, more than that of diamond", ["materials.glass.young_modulus=50e6 N/mm2"],
      ["materials.steel.young_modulus=50e6 N/mm2"]),
     ("work_of_adhesion .* is not used, because contact.cohesion is none",
