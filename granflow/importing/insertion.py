@@ -34,8 +34,11 @@ from granflow.units import to_si
 
 MOST_BATCHES = 12
 """Number of batches of an insertion that become groups of their own; more become a constant rate."""
-MOST_FILLED = 0.4
-"""Largest solid fraction that insert/pack reaches in the volume of the centers; measured with LIGGGHTS."""
+MOST_FILLED = 0.327
+OVERHANG = 0.65
+"""Largest solid fraction that insert/pack reaches in the box of the centers with sides that are longer by
+this number of diameters, because particles at its faces have neighbors on one side only. Measured with
+LIGGGHTS."""
 AT_REST = 0.58
 """Solid fraction of particles at rest on a floor."""
 BURST = 0.02
@@ -653,11 +656,11 @@ class Amount:
                 fix.entry.command,
                 "insert/pack needs particles_in_region, mass_in_region or volumefraction_region.",
             )
-        most = self._saturation(given.region) / mean
-        if count > most:
+        most = self._saturation(given.region, count) / mean
+        if count > most * (1.0 + 1e-9):  # beyond rounding
             fix.entry.approximated(
                 f"{count:.0f} particles do not fit by random insertion, which in the script ends at about "
-                f"{most:.0f} particles (compared with LIGGGHTS: 1 % less to 8 % more, in a flat region)"
+                f"{most:.0f} particles (by volume within 8 % of LIGGGHTS)"
             )
         target, count = count, min(count, most) * self.share
         first = {"count": max(1, round(count))}
@@ -679,7 +682,7 @@ class Amount:
         gravity = gravity_at(deck, deck.acting(fix)[0])
         leaving = _travel(gravity, given.velocity, every, extent)
         if has_floor(deck, deck.acting(fix), extent, gravity, 2.0 * self.mean_radius):
-            refills = self._refills_above_floor(count, target * self.share, leaving, batches, extent)
+            refills = self._refills_above_floor(count, target * self.share, leaving, batches, extent, gravity)
             numbers = ", ".join(map(str, refills)) or "none"
             fix.entry.approximated(
                 f"refills of the region every {every:g} s are {numbers}: particles "
@@ -714,19 +717,32 @@ class Amount:
         return [*parts, ("_refill", {"count": refill * batches}, rain)]
 
     def _refills_above_floor(
-        self, first: float, target: float, leaving: float, batches: int, extent: tuple[float, ...]
+        self,
+        first: float,
+        target: float,
+        leaving: float,
+        batches: int,
+        extent: tuple[float, ...],
+        gravity: Vector,
     ) -> list[int]:
         """Numbers of particles of the refills of a region that is closed below, until it has `target`.
 
-        Random insertion fills what is above the particles at rest, and at most the share that the particles
-        of the batch before have left, as it fills the whole region: with `first` particles.
+        Random insertion fills what is above the particles at rest, whose side has no OVERHANG, and at most
+        the share that the particles of the batch before have left, as it fills the whole region: with
+        `first` particles.
         """
         region = self.given.region
         assert region is not None
         volume = self.given.distribution.mean_volume / (volume_of(region) or _box_volume(extent))
+        sides = np.array([extent[2 * k + 1] - extent[2 * k] for k in range(3)])
+        height = float(sides @ np.abs(gravity)) / float(np.linalg.norm(gravity))
+        diameter = 2.0 * self.mean_radius
+        overhang = OVERHANG * diameter
+        inner = height - diameter * self.given.all_in
         present, refills = float(round(first)), []
         for _ in range(batches):
-            free = max(0.0, 1.0 - present * volume / AT_REST)
+            filled = height * present * volume / AT_REST
+            free = max(0.0, (inner - filled + 0.5 * overhang) / (inner + overhang))
             refill = round(min(first * min(leaving, free), target - present))
             if refill <= 0:
                 break
@@ -734,19 +750,33 @@ class Amount:
             present += refill
         return refills
 
-    def _saturation(self, region: Region) -> float:
-        """Volume [m3] of particles at which random insertion into a region ends: MOST_FILLED of the volume in
-        which their centers lie, the mean of all sizes by number."""
+    def _saturation(self, region: Region, count: float) -> float:
+        """Volume [m3] of particles at which random insertion of `count` particles into a region ends.
+
+        LIGGGHTS inserts the largest particles first, and ends with the size of which some do not fit. Those
+        of a radius r, which fill at most S(r) alone, and smaller ones take up
+
+            n v < S(r) - sum_j [f + (1 - f) r / r_j] n_j v_j,      S = f product_k (l_k + 2 r h)
+
+        f, h: MOST_FILLED, OVERHANG; l: sides of the box of their centers; r_j > r: inserted before.
+        """
         extent = extent_of(self.deck, region)
         whole = _box_volume(extent)
-        volume = volume_of(region) or whole
-        if not self.given.all_in:
-            return MOST_FILLED * volume
+        share_of_box = (volume_of(region) or whole) / whole
+        sides = np.array([extent[2 * k + 1] - extent[2 * k] for k in range(3)])
         distribution = self.given.distribution
-        radius = np.array([each.radius for each in distribution.templates])
-        shares = np.array(distribution.number_shares())
-        inner = np.array([extent[2 * k + 1] - extent[2 * k] - 2.0 * radius for k in range(3)]).clip(min=0.0)
-        return float(MOST_FILLED * volume * (shares @ inner.prod(axis=0)) / whole)
+        sizes = zip(distribution.templates, distribution.number_shares(), strict=True)
+        inserted: list[tuple[float, float]] = []
+        for each, share in sorted(sizes, key=lambda size: -size[0].radius):
+            diameter = 2.0 * each.radius
+            inner = (sides - diameter * self.given.all_in).clip(min=0.0)
+            room = MOST_FILLED * share_of_box * float(np.prod(inner + OVERHANG * diameter))
+            room -= sum((MOST_FILLED + (1.0 - MOST_FILLED) * each.radius / r) * v for r, v in inserted)
+            wanted = count * share * each.volume
+            inserted.append((each.radius, min(wanted, max(room, 0.0))))
+            if room < wanted:
+                break
+        return sum(volume for _, volume in inserted)
 
     @staticmethod
     def _rain(region: dict[str, Any], rate: float, start: float) -> dict[str, Any]:

@@ -292,6 +292,30 @@ def test_refills_stay_above_a_floor(tmp_path, wall, level):
         assert np.cumsum(counts)[:2] == pytest.approx([243, 344], rel=0.1)
 
 
+@pytest.mark.parametrize(("height", "shares", "requested", "reached"), [
+    (0.0075, "1 p1 1", 0.9, 0.241), (0.01, "1 p1 1", 0.9, 0.246), (0.025, "1 p1 1", 0.9, 0.287),
+    (0.01, "2 p1 0.5 p2 0.5", 0.4, 0.344), (0.025, "2 p1 0.5 p2 0.5", 0.4, 0.363),
+    (0.025, "2 p1 0.5 p2 0.5", 0.9, 0.301), (0.01, "1 p1 1", 0.2, 0.2),
+])  # fmt: skip
+def test_random_insertion_ends_at_the_solid_fraction_of_liggghts(
+    tmp_path, height, shares, requested, reached
+):
+    """In 50 mm x 50 mm with diameters of 5 and 2.5 mm; `reached` by LIGGGHTS 3.8.0. The large particles come first:
+    if they do not fit, the small ones are left out."""
+    pack = (
+        f"region fill block 0 0.05 0 0.05 0 {height}\nfix ins all insert/pack seed 1 distributiontemplate d "
+    )
+    pack += f"all_in yes insert_every once volumefraction_region {requested} region fill"
+    script = liggghts(insertion=pack).replace("2 p1 0.25 p2 0.75", shares)
+    script = script.replace("constant 0.004", "constant 0.00125").replace(
+        "constant 0.002\n", "constant 0.0025\n"
+    )
+    _, scene = imported(tmp_path, script)
+    groups = [(each["count"], to_si(each["diameter"], "length")) for each in scene["particles"].values()]
+    volume = sum(np.pi / 6.0 * count * diameter**3 for count, diameter in groups)
+    assert volume / (0.05**2 * height) == pytest.approx(reached, rel=0.08)
+
+
 def poured(tmp_path, options, end, count=10000, region="block 0.04 0.06 0.04 0.06 0.1 0.15"):
     """The translation of a script with a fix pour from a region."""
     source = f"region s {region}\nfix p all pour {count} 1 7 region s dens 2500 2500 {options}"
