@@ -28,7 +28,7 @@ INTEGRATORS = (
 MOVERS = ("nve", "nvt", "npt", "nph", "rigid", "multisphere")
 """First parts of the styles of all fixes of the codes that move particles, also of those without a
 counterpart."""
-FORCES = ("gravity", "viscous", "wall/gran", "wall/gran/region")
+FORCES = ("gravity", "addforce", "viscous", "wall/gran", "wall/gran/region")
 """Styles of fixes that act on all moving particles of a scene."""
 BODIES = ("rigid", "rigid/small", "rigid/nve", "rigid/nve/small")
 """Styles of fixes that join particles to rigid bodies."""

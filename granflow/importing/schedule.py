@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_mass
 from granflow.importing.deck import (
     DEFAULT_STEPS,
     Deck,
@@ -26,6 +27,7 @@ from granflow.importing.language import Command, DeckError, NotKnown
 from granflow.importing.regions import Track, track_variables
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
+from granflow.io.tables import is_number
 from granflow.scene.blocks.gravity import MOST_ROWS
 from granflow.schema.messages import suggestion_sentence
 
@@ -232,6 +234,16 @@ def viscous(deck: Deck, fix: Fix) -> None:
         fix.entry.impossible(f"the keyword {words.next} of viscous", "one coefficient for all types")
 
 
+def addforce(deck: Deck, fix: Fix) -> None:
+    """fix ID group addforce FX FY FZ: a constant force, an acceleration of particles of one mass."""
+    if all(map(is_number, fix.words[:3])) and len(fix.words) == 3:
+        fix.data = np.array(Words(deck, fix.entry.command, fix.words).vector("the force", "force"))
+    else:
+        fix.entry.impossible(
+            "a force that changes, or acts in a region", "gf.ParticleForces of a Python program"
+        )
+
+
 # Output
 
 
@@ -432,17 +444,62 @@ def _varying(deck: Deck, fix: Fix) -> GravityFix | None:
     return found
 
 
+def _added(deck: Deck, run: Run) -> np.ndarray:
+    """Acceleration (3,) [m/s2] by the fixes addforce in a run."""
+    total = np.zeros(3)
+    for fix in _pushes(deck):
+        if fix.acts_in(run):
+            total += fix.data / _masses(deck)[0]
+    return total
+
+
+def _pushes(deck: Deck) -> list[Fix]:
+    """The fixes addforce that are an acceleration: all particles are spheres of one mass."""
+    masses = _masses(deck)
+    is_one = masses and max(masses) <= 1.000001 * min(masses)
+    has_clumps = any("clump" in each.keys for each in deck.particles)
+    return [
+        fix
+        for fix in deck.fixes_of("addforce")
+        if fix.data is not None and deck.acting(fix) and is_one and not has_clumps
+    ]
+
+
+def _masses(deck: Deck) -> list[float]:
+    """Smallest and largest mass [kg] of the particles of each group."""
+    return [float(sphere_mass(radius, each.density)) for each in deck.particles for radius in each.radii]
+
+
+def _with_added(deck: Deck, run: Run) -> Gravity:
+    """Gravity and the acceleration by fixes addforce in a run."""
+    found = gravity_in(deck, run)
+    added = _added(deck, run)
+    if not added.any():
+        return found
+    if isinstance(found, dict):
+        return {**found, "vectors": (np.array(found["vectors"]) + added).tolist()}
+    x, y, z = (float(f"{each:.9g}") + 0.0 for each in np.array(found) + added)
+    return x, y, z
+
+
 def _gravity(deck: Deck, draft: Draft) -> None:
     """Gravity of the scene, and of the stages in which it is another one than before."""
-    fixes = [fix for fix in deck.fixes_of("gravity") if fix.data and deck.acting(fix)]
+    pushes = _pushes(deck)
+    for fix in deck.fixes_of("addforce"):
+        if fix.data is not None and deck.acting(fix) and fix not in pushes:
+            fix.entry.impossible(
+                "a constant force on particles of different masses, or on clumps",
+                "gf.ParticleForces of a Python program",
+            )
+    fixes = [fix for fix in deck.fixes_of("gravity") if fix.data and deck.acting(fix)] + pushes
     runs = [run for run in deck.runs if run.steps]
-    present = gravity_in(deck, runs[0])
+    present = _with_added(deck, runs[0])
     entries = [fix.entry for fix in fixes if fix.acts_in(runs[0])]
     absent = "" if entries else "the first run of the script has no fix gravity"
     draft.put(("gravity",), _key_of(present), *entries, remark=absent)
     names = stage_names(deck)
     for index, name in names.items():
-        value = gravity_in(deck, deck.runs[index])
+        value = _with_added(deck, deck.runs[index])
         if value != present:
             next(each for each in draft.get("stages") if each["name"] == name)["gravity"] = _key_of(value)
             present = value
@@ -514,7 +571,7 @@ def stage_names(deck: Deck) -> dict[int, str]:
     return names if count > 1 else {}
 
 
-STAGED: set[str] = {"viscous", "cundall"}
+STAGED: set[str] = {"viscous", "cundall", "addforce"}
 """Styles of fixes whose begin or end makes a new stage; the families add theirs."""
 
 
@@ -555,9 +612,7 @@ def _damping(deck: Deck, draft: Draft) -> None:
                 "a scene that settles the particles with damping, and one that shears them (start_from)",
             )
             continue
-        masses = [
-            each.density * 4.18879020479 * radius**3 for each in deck.particles for radius in each.radii
-        ]
+        masses = _masses(deck)
         if not masses:
             continue
         rate = fix.data / (sum(masses) / len(masses))
@@ -674,7 +729,7 @@ FIXES: dict[str, Translation] = {
         "particles that are removed at a rate", "outlets of the scene, or delete of a stage (fraction)"
     ),
     "setforce": Translation(setforce, "particles.NAME.fixed", "0 0 0 of particles without velocity"),
-    "addforce": impossible("a constant force", "gravity, or gf.ParticleForces of a Python program"),
+    "addforce": Translation(addforce, "gravity", "the force over the mass, if all particles have one mass"),
     "aveforce": impossible("aveforce", "a Python program that sets forces"),
     "efield": impossible("electric fields", "a Python program that adds forces (notebook drag_and_field)"),
     "buoyancy": impossible("buoyancy", "a Python program that adds forces"),

@@ -551,14 +551,17 @@ def test_liquid_bridges(tmp_path):
 
 
 def test_gravity_that_changes_is_that_of_a_stage(tmp_path):
-    """Both codes add the forces of two fixes. Three runs have one gravity, the next another one, the last none."""
-    text = "fix h all gravity 5 vector 0 1 0\nrun 10\nfix g all gravity 5 vector 1 0 0\nrun 20\nrun 5\nunfix g\nunfix h\nrun 30"
-    _, scene = imported(tmp_path, liggghts(end=text))
+    """Both codes add the forces of all fixes: a force is an acceleration of particles of one mass."""
+    force = 2.0 * 2500.0 * 4.0 / 3.0 * np.pi * 0.002**3
+    text = "fix h all gravity 5 vector 0 1 0\nrun 10\nfix g all gravity 5 vector 1 0 0\nrun 20\nrun 5\n"
+    text += f"fix p all addforce 0 0 {force}\nrun 7\nunfix g\nunfix h\nrun 30"
+    _, scene = imported(tmp_path, liggghts(end=text).replace("constant 0.004", "constant 0.002"))
     assert scene["gravity"] == [0, 5, -9.81]
     assert scene["stages"] == [
         {"name": "stage_1", "duration": "100 us"},
         {"name": "stage_2", "duration": "250 us", "gravity": [5, 5, 0]},
-        {"name": "stage_3", "duration": "300 us", "gravity": [0, 0, 0]},
+        {"name": "stage_3", "duration": "70 us", "gravity": [5, 5, 2]},
+        {"name": "stage_4", "duration": "300 us", "gravity": [0, 0, 2]},
     ]
 
 

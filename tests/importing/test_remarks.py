@@ -92,6 +92,8 @@ def with_atoms(**parts):
         (liggghts(end="fix h all heat/gran/radiation\nrun 10"), "radiation", "not possible", "radiation between particles"),
         (liggghts(end="fix h all wonder 1\nrun 10"), "wonder", "not possible", "fix wonder is not known"),
         (liggghts(end="marvel 1\nrun 10"), "marvel", "not possible", "the command marvel is not known"),
+        (liggghts(end="fix f all addforce 0 0 1\nrun 10"), "addforce", "not possible", "different masses"),
+        (liggghts(end="fix f all addforce v_x 0 1\nrun 10"), "addforce", "not possible", "a force that changes"),
         (liggghts(end="variable n equal atoms\nfix g all gravity v_n vector 0 0 1\nrun 10"), "v_n", "not possible", "follows"),
         (liggghts(properties="fix x all property/global thermalExpansion peratomtype 1 1"), "thermalE", "not possible", "thermal"),
         (liggghts(end="compute c all rainbow\nrun 10"), "rainbow", "not possible", "compute rainbow"),
