@@ -33,6 +33,7 @@ from granflow.plan.cost import (
     refuse_without_memory,
 )
 from granflow.plan.plan import Plan
+from granflow.plan.restitution import restitution_warnings
 from granflow.runs.initial_particles import initial_state, refuse_other_particles
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.interrupts import stopping_on_interrupt
@@ -476,6 +477,8 @@ def run_start(
     warnings = [*(each for each in plan.warnings if each not in of_files), *of_particles]
     if checkpoint is not None:
         warnings += filter(None, [engine_difference(checkpoint)])
+    elif writes_files:
+        warnings += restitution_warnings(plan)
     return RunStart(
         plan=plan,
         original=original,

@@ -17,7 +17,7 @@ TAICHI_LAYERS = {"device_functions", "contact", "geometry", "scene", "engine"}
 STUDIES_IMPORT = {
     "granflow", "granflow.arguments", "granflow.contact.material", "granflow.contact.registry",
     "granflow.contact.theory", "granflow.errors", "granflow.fields", "granflow.geometry.sphere",
-    "granflow.load", "granflow.plan.cost", "granflow.runs.initial_particles", "granflow.scene.reader", "granflow.scene.run_numbers", "granflow.schema.document", "granflow.schema.faults", "granflow.schema.messages",
+    "granflow.load", "granflow.plan.cost", "granflow.plan.restitution", "granflow.runs.initial_particles", "granflow.scene.reader", "granflow.scene.run_numbers", "granflow.schema.document", "granflow.schema.faults", "granflow.schema.messages",
     "granflow.schema.model", "granflow.schema.quantities", "granflow.units", "granflow.visible_text"
 }  # fmt: skip
 """Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and

@@ -99,7 +99,6 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
 
         # After the checks of scene and directory, because its import of Taichi takes most of the time.
         simulation = simulation_of(scene, options, out, communicator, overwrite=options.overwrite)
-        simulation.warnings.extend(restitution_warnings(simulation.plan))
     with locked(out):
         # Another process may have used the directory in the meantime.
         printed += prepare_output(out, scene, options.overwrite)
@@ -533,6 +532,7 @@ def check(options: argparse.Namespace) -> int:
     from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
     from granflow.plan.cost import fits, memory_warning, refuse_run_time, refuse_too_many
+    from granflow.plan.restitution import restitution_warnings
     from granflow.runs.initial_particles import checked_particles
 
     plan = plan_for(scene)
@@ -577,13 +577,6 @@ def say_checked(path: Path, warnings: Sequence[str], remark: str = "") -> int:
     return 0
 
 
-def restitution_warnings(plan: "Plan") -> list[str]:
-    """Sentences on restitutions that the time step does not reproduce."""
-    from granflow.studies.restitution import warnings
-
-    return warnings(plan)
-
-
 # explain
 
 
@@ -591,11 +584,11 @@ def explain(options: argparse.Namespace) -> int:
     """`granflow explain`: print features, defaults, time step, memory and run time."""
     from granflow.plan.build import plan_for
     from granflow.plan.explain import explain as explain_plan
-    from granflow.studies.restitution import remarks
+    from granflow.plan.restitution import restitution_remarks
 
     plan = plan_for(load(options), on_gpu=options.arch != "cpu")
     say(explain_plan(plan))
-    if found := remarks(plan):
+    if found := restitution_remarks(plan):
         say("\nRestitution at this time step")
         for each in found:
             say(f"  {each}")

@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from granflow import GranflowError, ParticleData, Plan, Scene, plan_for
-from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
-from granflow.geometry.sphere import sphere_mass
+from granflow.plan.restitution import LONGEST, Collision, Impact
 from granflow.scene.blocks.run import LARGEST_OVERLAP
 
 if TYPE_CHECKING:
@@ -33,9 +32,6 @@ if TYPE_CHECKING:
 
 Settings = Mapping[str, Any]
 """Entries of a block of a scene."""
-Impact = tuple[PairMaterial, float, float, float]
-"""Arguments of contact models: pair of materials, effective radius [m] and mass [kg], approach velocity
-[m/s]."""
 
 
 # ---------------------------------------------------------------- head-on collisions of equal spheres
@@ -158,8 +154,6 @@ def _pair_entry(restitution: Any) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- the bench
 
-LONGEST = 20.0
-"""Maximum length of a collision in units of its expected duration; longer collisions count as sticking."""
 SPACING = 4.0
 """Spacing of neighboring collisions over the largest diameter."""
 REBOUND_SAMPLES = 200
@@ -173,39 +167,6 @@ def run_duration(diameter: float, velocity: float) -> float:
     steps.
     """
     return min(1.0, LONGEST * diameter / min(velocity, 1.0))
-
-
-@dataclass(frozen=True)
-class Collision:
-    """One collision of a sphere with another sphere or with a wall, in SI units.
-
-    first, second:   names of the materials
-    radius:          of the first sphere
-    other_radius:    of the second sphere; None for a wall
-    velocity:        approach velocity; `share` of it is that of the first sphere, 1 toward a wall
-    along, spin:     velocity of the first sphere along y, and angular velocity about -z; the surface of the
-                     sphere slides at the velocity along - radius * spin
-    first_contact:   time of first contact
-    """
-
-    first: str
-    second: str
-    radius: float
-    other_radius: float | None
-    velocity: float
-    share: float = 0.5
-    along: float = 0.0
-    spin: float = 0.0
-    first_contact: float = 0.0
-
-    def reduced(self, scene: Scene) -> tuple[float, float]:
-        """Effective radius [m] and mass [kg]; a wall has infinite radius and mass."""
-        mass = sphere_mass(self.radius, scene.materials[self.first].density)
-        if self.other_radius is None:
-            return self.radius, mass
-        other = sphere_mass(self.other_radius, scene.materials[self.second].density)
-        radius_eff = self.radius * self.other_radius / (self.radius + self.other_radius)
-        return radius_eff, mass * other / (mass + other)
 
 
 class _Partner(NamedTuple):

@@ -10,7 +10,15 @@ from scene_builders import build_scene, particle_group, plane
 from granflow.cli.main import main
 from granflow.load import load_scene
 from granflow.plan.build import plan_for
-from granflow.studies.restitution import _impact, _reference_restitution, measure, name_of, pairings, warnings
+from granflow.plan.restitution import (
+    impact_of,
+    name_of,
+    pairings,
+    reference_restitution,
+    restitution_warnings,
+)
+from granflow.simulation import Simulation
+from granflow.studies.restitution import measure
 
 SCENES = Path(__file__).parents[2] / "scenes"
 STEEL = {"preset": "stainless_316"}
@@ -62,9 +70,9 @@ def test_small_time_steps_reach_the_given_restitution(taichi_f64):
     assert len({row.pair for row in rows}) == 5
 
 
-def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(taichi_f64):
+def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(tmp_path, taichi_f64):
     scene = coarse_hertz()
-    (sentence,) = warnings(plan_for(scene))  # one particle: no collision between particles
+    (sentence,) = restitution_warnings(plan_for(scene))  # one particle: no collision between particles
     numbers = re.search(
         r"steel-steel wall: the given restitution is (\S+) at (\S+) m/s, but the time step of (\S+) s results in (\S+), "
         r"which changes the energy lost in a collision by (\S+)%\. Use numerics\.time_step_fraction: (\S+)\.$",
@@ -77,12 +85,15 @@ def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(tai
     rows, _ = measure(scene)
     fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
     assert fastest.min_reached * 0.99 <= reached <= fastest.max_reached * 1.01
-    assert warnings(plan_for(coarse_hertz(fraction=remedy))) == []
+    assert restitution_warnings(plan_for(coarse_hertz(fraction=remedy))) == []
+    simulation = Simulation(scene, out=tmp_path / "out")
+    assert simulation.warnings[-1] == sentence
+    simulation.free()
 
 
 def test_shipped_scenes_have_no_warnings():
     for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
-        assert warnings(plan_for(load_scene(path))) == [], path
+        assert restitution_warnings(plan_for(load_scene(path))) == [], path
 
 
 def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
@@ -104,6 +115,6 @@ def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitu
         run={"duration": 1.0, "velocity_max": 1.0}, numerics={"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
     )  # fmt: skip
     plan = plan_for(scene)
-    impact = _impact(plan, next(iter(pairings(plan))), 1.0)
-    reached = [_reference_restitution(plan, impact, plan.time_step, phase) for phase in np.arange(16) / 16]
+    impact = impact_of(plan, next(iter(pairings(plan))), 1.0)
+    reached = [reference_restitution(plan, impact, plan.time_step, phase) for phase in np.arange(16) / 16]
     assert 100.0 * np.abs(np.array(reached) / restitution - 1.0).max() < largest

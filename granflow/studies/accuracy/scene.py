@@ -22,12 +22,12 @@ import numpy as np
 from granflow import RunError, Scene, SceneError, Simulation, Snapshot, load_scene, on_interval, plan_for
 from granflow.errors import GranflowError
 from granflow.io.files import write_text
+from granflow.plan.restitution import QUICK_VELOCITIES
 from granflow.studies.accuracy.report import LINE_STYLES, loglog
 from granflow.studies.accuracy.two_particles import PRECISIONS
 from granflow.studies.checked_run import run_identity
 from granflow.studies.figures import COLORS, Drawing, PageTable, percent, stacked_panels
 from granflow.studies.page import write_study
-from granflow.studies.restitution import QUICK_VELOCITIES
 from granflow.studies.restitution import measure as measure_restitution
 from granflow.studies.run_process import read_json
 
