@@ -154,7 +154,11 @@ def _validated(document: Document) -> tuple[SceneInput | None, list[Problem]]:
         scene = _resolved_law(SceneInput.model_validate(data))
     except ValidationError as error:
         details = error.errors(include_url=False, include_input=False)
-        parts = partial_scene_of(document, data, [each["loc"] for each in details])
+        try:
+            parts = partial_scene_of(document, data, [each["loc"] for each in details])
+        except ValidationError as of_sections:  # checked once all entries are valid, such as names of walls
+            details += of_sections.errors(include_url=False, include_input=False)
+            parts = partial_scene_of(document, data, [each["loc"] for each in details])
         return None, problems_of(document, details, SceneInput) + consistency_problems(parts)
     return scene, consistency_problems(PartialScene(document, scene))
 

@@ -47,6 +47,8 @@ FILES = [
     (b"title: x\nseed: \xff\n", ":2:7: the file is not valid UTF-8 text; save it as UTF-8."),
     (b"title: x\nseed: \x07\n", ":2:7: the text contains the control character U+0007; delete it."),
     (b"title: x\0\n", ": the file is binary; a scene is UTF-8 text."),
+    (bytes(5 * 2**20), ": this file is larger than 4 MiB, too large for a scene."),
+    (b"? [a]\n: b", ":1:3: a key must be plain text, such as radius."),
     (b"scene: a.yaml\nvary: {seed: [1, 2]}\n",
      ":1:1: this is a sweep, not a scene; granflow sweep reads it, and its --dry-run checks it."),
     (b"scenes: {}\nparameters: {}\ntargets: {}\n",
@@ -54,7 +56,7 @@ FILES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("raw", "sentence"), FILES)
+@pytest.mark.parametrize(("raw", "sentence"), FILES, ids=lambda each: str(each)[-40:])
 def test_file_that_is_not_a_scene_is_rejected(raw, sentence, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(raw)

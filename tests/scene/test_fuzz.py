@@ -119,21 +119,6 @@ def test_random_overrides_give_a_scene_or_messages():
     assert refused > 25
 
 
-def test_unreadable_paths_are_reported(tmp_path, capsys):
-    (tmp_path / "loop.yaml").symlink_to("loop.yaml")
-    (tmp_path / "large.yaml").write_bytes(bytes(5 * 2**20))
-    (tmp_path / "link.yaml").symlink_to(GOOD)
-    for name, words in {
-        ".": "this is a directory",
-        "loop.yaml": "the file cannot be read",
-        "none.yaml": "there is no such file",
-        "large.yaml": "this file is larger than 4 MiB",
-    }.items():
-        assert main(["check", str(tmp_path / name)]) == 2
-        assert words in capsys.readouterr().err
-    assert main(["check", str(tmp_path / "link.yaml")]) == 0
-
-
 @pytest.mark.parametrize(("text", "sentences"), [
     ("materials:\n" + "".join(f"  m{n}: {{}}\n" for n in range(51)),
      [":1:1: materials has 51 entries, but the limit is 50."]),

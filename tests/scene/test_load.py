@@ -1,18 +1,21 @@
-"""Reading of scenes: SI units, presets, defaults, overrides, and a lossless round trip through text."""
+"""Reading of scenes from files and from Python: YAML 1.2, SI units, presets, defaults, overrides, other names."""
 
 import math
 from pathlib import Path
 
 import pytest
+from plan.scenes import scene_of
+from scene_builders import build_scene, particle_group
 
-from granflow.errors import SceneError
+from granflow import Output, Scene, SceneError
 from granflow.load import load_scene
 from granflow.scene.blocks.materials import PRESETS
 from granflow.scene.blocks.motions import Vibration
-from granflow.scene.blocks.walls.half_space import Plane
 from granflow.scene.reference import json_schema
+from granflow.schema.document import parse
 
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"
+DRUM = Path(__file__).parents[2] / "scenes/drum.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -75,13 +78,6 @@ def test_positions_of_keys_are_found(scene):
     assert scene.locate("walls", "tube", "motion", 0, "amplitude") == f"{GOOD}:28:{column}"
 
 
-def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
-    path = tmp_path / "again.yaml"
-    path.write_text(scene.to_yaml(), encoding="utf-8")
-    again = load_scene(path)
-    assert again == scene and again.to_yaml() == scene.to_yaml()
-
-
 def test_overrides_replace_values_of_the_file():
     """The restitution of every pair is a number then, so that it is constant by default."""
     scene = load_scene(GOOD, [
@@ -117,6 +113,89 @@ def test_scene_file_conforms_to_the_json_schema(scene):
     assert list(validator.iter_errors({key: value for key, value in data.items() if key != "pairs"}))
 
 
-def test_blocks_created_in_python_are_validated():
-    with pytest.raises(SceneError, match=r"point is \[0, 0\], but a vector"):
-        Plane(shape="plane", point=[0, 0], normal=[0, 0, 1], material="a")
+@pytest.mark.parametrize(("override", "suggestion"), [
+    ("contact.normal=hertz-mindlin", "Did you mean hertz?"),
+    ("contact.cohesion=simplified_jkr", "Did you mean sjkr?"),
+    ("particles.beads.insert={kind: insert/stream}", "Did you mean inlet?"),
+    ("walls.floor.shape=fix wall/gran", "Did you mean plane?"),
+    ("materials.glass.youngsModulus=1e7", "Did you mean young_modulus?"),
+    ("run.dt=1e-5", "Did you mean time_step?"),
+    ("walls.floor.motion={kind: wiggle}", "Did you mean vibration?"),
+    ("pairs.glass-glass.xmu=0.3", "Did you mean friction?"),
+    ("boundary=p", "Did you mean domain?"),
+    ("contact.tangential=linear_history", "linear_history requires stiffness, such as {law: linear_history, sti"),
+    ("contact.normal=jkr", "jkr is given as contact.cohesion: jkr"),
+    ("pairs.glass-glass={restitution: 0.9, friction: 0,3}", "Numbers have a decimal point, not a comma"),
+])  # fmt: skip
+def test_names_of_other_codes_are_recognized(tmp_path, override, suggestion):
+    with pytest.raises(SceneError) as refused:
+        scene_of(tmp_path, override)
+    assert suggestion in str(refused.value)
+
+
+@pytest.mark.parametrize("override", [
+    "walls.shell.motion.angular_velocity=2", "walls.shell.motion.0.angular_velocity=2",
+    "contact.normal.damping_ratio=0.1", "contact.normal=hertz", "pairs.steel-glass.friction=0.2",
+])  # fmt: skip
+def test_overrides_have_the_same_path_in_a_scene_and_in_its_resolved_form(tmp_path, override):
+    """`granflow resume` applies overrides to scene_as_run.yaml."""
+    resolved = tmp_path / "scene_as_run.yaml"
+    resolved.write_text(load_scene(DRUM).to_yaml())
+    first, second = (load_scene(path, [override]) for path in (DRUM, resolved))
+    assert first.to_yaml() == second.to_yaml() != load_scene(DRUM).to_yaml()
+
+
+def described(**changes):
+    """A scene with one particle as a mapping, with other values for some of its keys."""
+    scene = build_scene({"ball": particle_group([[0.0, 0.0, 0.0]])})
+    return scene.model_dump(by_alias=True, exclude_none=True) | changes
+
+
+@pytest.mark.parametrize(("data", "message"), [
+    (described(gravity=[0.0, 0.0]), r"^gravity is \[0.0, 0.0\], but "),
+    (described(seed=object()), "seed: a value is of type object; give a number, text, list or mapping."),
+    ({key: value for key, value in described().items() if key != "gravity"}, "^scene: gravity is missing"),
+    (described(stages=[{"name": "a", "duration": 1.0}]), "^run.duration is 1.0, but the stages have durations"),
+    ([("title", "A scene")], "scene: this is a list, but a scene is a mapping of keys"),
+])  # fmt: skip
+def test_problems_name_the_key_path(data, message):
+    with pytest.raises(SceneError, match=message):
+        Scene.from_dict(data)
+
+
+def test_scene_and_its_mappings_are_immutable():
+    """Blocks of the program are copied, with the names of the given fields."""
+    given = Output(interval=0.1, flow_meters={"outlet": {"point": [0.0] * 3, "normal": [0.0, 0.0, -1.0]}})
+    scene = Scene.from_dict(described(output=given))
+    with pytest.raises(AttributeError, match="immutable"):
+        scene.seed = 2
+    for mapping in (scene.walls, scene.output.flow_meters, scene.output.metrics):
+        with pytest.raises(TypeError, match="immutable"):
+            mapping["other"] = None
+    with pytest.raises(TypeError, match="immutable"):
+        scene.particles.clear()
+    assert scene.model_copy(deep=True) == scene
+    given.flow_meters.clear()
+    assert list(scene.output.flow_meters) == ["outlet"]
+    assert scene.output.model_fields_set == {"interval", "flow_meters"}
+
+
+@pytest.mark.parametrize(("text", "value"), [
+    ("012", 12), ("0o14", 12), ("0x1F", 31), ("1e-5", 1e-5), ("1E5", 1e5), (".5", 0.5), ("-4.", -4.0),
+    ("+3", 3), ("true", True), ("False", False), ("yes", "yes"), ("no", "no"), ("on", "on"), ("null", None),
+    ("~", None), ("none", "none"), ("1:30", "1:30"), ("1_000", "1_000"), ("2020-01-01", "2020-01-01"),
+    ("'1e-5'", "1e-5"), (".inf", math.inf), ("-.INF", -math.inf), ("4 mm", "4 mm"), ("1" * 500, math.inf)
+], ids=lambda value: str(value)[:20])  # fmt: skip
+def test_scalars_have_their_yaml_1_2_type(text, value):
+    data = parse(f"key: {text}", "file").root.data()["key"]
+    assert data == value and type(data) is type(value)
+
+
+def test_keys_values_and_duplicates_have_positions_and_aliases_are_resolved():
+    document = parse("a:\n  - b: &x 1\n    c: [2, {d: *x}]\na: 3\nc: .nan\nc: 4\n", "file")
+    data = document.root.data()
+    assert data["a"] == [{"b": 1, "c": [2, {"d": 1}]}] and math.isnan(data["c"])
+    assert str(document.key_position(("a",))) == "file:1:1"
+    assert str(document.key_position(("a", 0, "c"))) == "file:3:5"
+    assert document.where(("a", 0, "c", 1, "x", "y")) == "file:3"
+    assert [str(problem.position) for problem in document.problems] == ["file:4:1", "file:6:1"]
