@@ -8,7 +8,6 @@ from pathlib import Path
 from shutil import which
 
 ROOT = Path(__file__).parent.parent
-RUNS = Path(__file__).parent / "rank_runs.py"
 WHEEL_MPIRUN = Path(sys.executable).parent / "mpirun"
 MPIRUN = str(WHEEL_MPIRUN) if WHEEL_MPIRUN.exists() else which("mpirun")
 

@@ -1,21 +1,8 @@
-"""Scenes that run alone and on MPI ranks, some of them by name in `rank_runs`."""
+"""Scenes that run alone and on MPI ranks."""
 
 import numpy as np
 from clumps import clump_group
 from scene_builders import SOFT, build_scene, moving_lattice, particle_group, vibrating_box
-
-
-def bed():
-    """216 particles with velocities in all directions in a box with a vibrating floor, in chunks of 32."""
-    lattice = moving_lattice((6, 6, 6), largest=0.0062, speed=1.0)
-    return build_scene(
-        {"lattice": lattice}, vibrating_box(0.042), normal="zhou", rolling="epsd", gravity=[0.0, 3.0, -9.81],
-        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5},
-        numerics={"chunk_size": 32, "skin": 1.5e-3},
-        output={"interval": 1.0, "energy_budget": True, "wall_forces": True, "walls": False,
-                "collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14}},
-        run={"duration": 3e-3, "velocity_max": 4.0, "time_step": 2e-6},
-    )  # fmt: skip
 
 
 def pair(**changes):
@@ -65,6 +52,3 @@ def resumable():
         stages=[{"name": "approach", "until": condition, "max_duration": 2e-3}, mix],
         run={"velocity_max": 4.0, "time_step": 2e-6},
     )  # fmt: skip
-
-
-SCENES = {"bed": bed, "pair": pair}

@@ -8,7 +8,7 @@ usual:  some of `host`, see USUAL
 gpu:    the code path of a GPU on the CPU, with fields in several trees
 long:   with the kernels that are compiled for long runs; other chunks and skin
 forked: with the kernel language Quadrants, which `test_bits` selects; other chunks and skin
-ranks:  on the MPI ranks of mpirun
+ranks:  on the MPI ranks of mpirun; with arrays that must grow in the scene walls
 
 FOLDER/EXECUTION/SCENE contains the files of each run and `state.npz`, its state at the end.
 """
@@ -25,12 +25,12 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from bits.scenes import SCENES  # noqa: E402
 from gpu.code_path import use_gpu_code_path  # noqa: E402
-from run_arrays import arrays_of  # noqa: E402
 
 from granflow.engine import backend, threads  # noqa: E402
+from granflow.engine.host import joined_particles  # noqa: E402
 from granflow.io.checkpoint import read_checkpoint  # noqa: E402
 from granflow.load import Scene  # noqa: E402
-from granflow.plan import cost  # noqa: E402
+from granflow.plan import build, cost, plan  # noqa: E402
 from granflow.simulation import Simulation  # noqa: E402
 
 RESUMED = ("resumed_1", "resumed_4", "resumed_8")
@@ -111,9 +111,13 @@ def on_ranks(name, folder):
     from granflow.parallel import rank_stepper
     from granflow.parallel.communicator import Communicator
     from granflow.parallel.rank_engine import RankEngine, controlling, serve
-    from granflow.plan.build import plan_for
 
     rank_stepper.MIGRATION_INTERVAL = 2  # every other rebuild keeps the particles
+    if name == "walls":
+        plan.MIN_PARTICLES = plan.MIN_LIST_ENTRIES = 64
+        plan.neighbors_per_particle = lambda _count, _skin: 0.5
+        build.BALANCE = 0.1
+        build.GHOST_LAYERS = 0.0
     scene = SCENES[name].build()
     communicator = Communicator()
     if communicator.is_root:
@@ -121,7 +125,8 @@ def on_ranks(name, folder):
             run(name, folder / "ranks", scene, 1, communicator=communicator)
         return
     serve(
-        communicator, lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator)
+        communicator,
+        lambda: RankEngine(build.plan_for(scene), start("cpu", scene.run.precision, 1), communicator),
     )
 
 
@@ -171,8 +176,36 @@ def resume(name, folder, execution):
 def save(out, simulation):
     """Write the state at the end of a run."""
     stride = np.array(simulation.engine.state.stride)
-    np.savez(out / "state.npz", **arrays_of(simulation), stride=stride)
+    growths = np.array(simulation.engine.timing.growth_count)
+    np.savez(out / "state.npz", **arrays_of(simulation), stride=stride, growths=growths)
     simulation.free()
+
+
+def arrays_of(simulation):
+    """Particles, contacts, totals, wall impulses and offsets, contact histories, exits and counts by name."""
+    last = simulation.snapshot(contacts=True)
+    engine = simulation.engine
+    kinds = ("particles", "contacts", "totals", "impulses", "collisions")
+    arrays = {
+        f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()
+    }
+    arrays |= {f"offset.{name}": wall.offset for name, wall in last.walls.items()}
+    arrays |= {f"exits.{face}": np.array(count) for face, count in engine.accounting.exits.items()}
+    arrays |= {"steps": np.array(engine.step_count), "rebuilds": np.array(engine.timing.rebuild_count)}
+    return arrays | histories_of(engine)
+
+
+def histories_of(engine):
+    """Contact histories of all particles, ordered by the ids of owner and partner."""
+    particles = joined_particles(engine.on_each_rank(own_particles)).by_id()
+    found = particles.histories
+    pairs = np.stack([particles.arrays["id"][found.owner], found.partner])
+    return {"history.pairs": pairs} | {f"history.{slot}": values for slot, values in found.values.items()}
+
+
+def own_particles(engine, _rank):
+    """Particles and contact histories of one rank."""
+    return engine.saved_particles()
 
 
 KINDS = {

@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 import pytest
 import rank_launcher
-from rank_launcher import RUNS, alone, environment, on_ranks
+from rank_launcher import alone, environment, on_ranks
 from rank_scenes import pair, resumable
 from resume.runs import files_of
 
@@ -28,6 +28,7 @@ pytestmark = pytest.mark.skipif(
     bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started"
 )
 
+FAULTS = Path(rank_launcher.__file__).with_name("rank_runs.py")
 LONGEST_END = 10.0
 """Time [s] in which a failure of one rank must end all ranks."""
 
@@ -47,12 +48,8 @@ for name, arguments in json.load(open(f"{folder}/commands.json")).items():
 """
 """Runs several command lines on the same ranks, each rank in a folder of its own."""
 
-ABORTS = {
-    "overlap": {"numerics": {"max_overlap": 1e-5}},
-    "domain": {"domain": {"min": [-1.0, -1.0, -1e-4], "max": [1.0] * 3, "on_exit": "error"}},
-}
-"""Changes of the scene of two particles that lead to an abort."""
-
+ABORTS = {"overlap": "numerics.max_overlap=1e-5", "domain": "domain.min=[-1, 0.0035, -1]"}
+"""Changes of the scene that lead to an abort; kernels are those of the scene."""
 
 EFFECTS = ("outlet_count.corner", "wear_volume.low_z", "wall_heat.low_z", "source_heat", "heat_content_set")
 """Totals that are not 0 because the features of the scene have had an effect."""
@@ -67,16 +64,15 @@ def session(tmp_path_factory):
     for rank, restitution in enumerate((0.5, 0.3)):
         (folder / str(rank)).mkdir()
         pair(pair={"restitution": restitution}).save(folder / str(rank) / "own.yaml")
-    for name, changes in ABORTS.items():
-        pair(**changes).save(folder / f"{name}.yaml")
     part = str(folder / "part")
     commands = {
         "begin": ["run", scene, "--mpi", "--out", part, "--until", "0.0012"],
         "part": ["resume", part, "--mpi", "--until", "0.0021"],
         **{
-            name: ["run", str(folder / f"{name}.yaml"), "--mpi", "--out", str(folder / name)]
-            for name in (*ABORTS, "invalid")
+            name: ["run", scene, "--mpi", "--out", str(folder / name), "--set", change]
+            for name, change in ABORTS.items()
         },
+        "invalid": ["run", str(folder / "invalid.yaml"), "--mpi", "--out", str(folder / "invalid")],
         "unmarked": ["run", scene, "--out", str(folder / "unmarked")],
         "different": ["run", "own.yaml", "--mpi", "--out", str(folder / "different")],
     }
@@ -179,8 +175,8 @@ def test_files_of_ranks_are_replaced_and_removed_with_their_checkpoint(part):
 @pytest.mark.parametrize("name", ABORTS)
 def test_an_abort_has_the_message_of_a_run_without_mpi(session, taichi_f64, tmp_path, capsys, name):
     folder, ranks = session
-    arguments = ["run", str(folder / f"{name}.yaml"), "--out", str(tmp_path / name)]
-    assert main([*arguments, "--threads", "2"]) == ranks[0][name][0] == 3
+    arguments = ["run", str(folder / "scene.yaml"), "--out", str(tmp_path / name), "--threads", "2"]
+    assert main([*arguments, "--set", ABORTS[name]]) == ranks[0][name][0] == 3
     alone, root = (
         [line for line in text.splitlines() if "Stopped:" in line]
         for text in (capsys.readouterr().err, ranks[0][name][2])
@@ -214,7 +210,7 @@ def test_wrong_use_is_refused_with_one_sentence(session):
 )
 def test_an_exception_in_one_rank_ends_all(tmp_path, kind, failed, message):
     """Within a command; or of the root outside of one, while the files of its run are open."""
-    done = on_ranks(2, RUNS, "pair", tmp_path / "out", kind, seconds=120)
+    done = on_ranks(2, FAULTS, kind, tmp_path / "out", seconds=120)
     time_of_end = time.time()
     assert done.returncode != 0 and message in done.stderr
     for began in re.findall(r"a fault of this test at ([\d.]+) s", done.stderr):
@@ -310,15 +306,3 @@ def test_a_signal_ends_all_within_seconds_and_the_run_is_resumed(tmp_path, recei
                 process.kill()
     newest = newest_checkpoint(out)[0]
     completed(run_on_ranks(3, "resume", out, "--mpi", "--until", newest.time + 1e-3))
-
-
-@pytest.mark.slow
-def test_arrays_grow_on_all_ranks_with_the_same_bits(tmp_path):
-    """`bits` compares the features on two ranks."""
-    completed(alone(RUNS, "bed", tmp_path / "alone.npz", "alone"))
-    completed(on_ranks(3, RUNS, "bed", tmp_path / "ranks.npz", "small"))
-    expected, found = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("alone", "ranks"))
-    assert expected["rebuilds"] >= 3 and len(expected["history.pairs"].T) > 10
-    assert found.pop("growths") >= 2, "for particles and for neighbor lists"
-    assert found.keys() == expected.keys()
-    assert not [name for name, values in expected.items() if not np.array_equal(values, found[name])]
