@@ -1,39 +1,20 @@
 """Motions in the form of the plan: unit vectors, no optional values."""
 
-from granflow.scene.blocks.motions import (
-    Oscillation,
-    Rotation,
-    SurfaceVelocity,
-    TableMotion,
-    Translation,
-    Vibration,
-)
-
-NO_GRAVITY = (0.0, 0.0, 0.0)
+from granflow.scene.blocks import motions
 
 
-def vibration(direction, amplitude, angular_frequency, **keys):
-    given = {"amplitude": amplitude, "angular_frequency": angular_frequency}
-    return Vibration(direction=direction, **given, **keys).numeric(NO_GRAVITY)
+def builder(kind, *names):
+    """A function that returns a motion for the values of these keys, and for others by name."""
+
+    def numeric(*values, **keys):
+        return kind(**dict(zip(names, values, strict=True)), **keys).numeric((0.0, 0.0, 0.0))
+
+    return numeric
 
 
-def translation(velocity, **keys):
-    return Translation(velocity=velocity, **keys).numeric(NO_GRAVITY)
-
-
-def surface_velocity(velocity, **keys):
-    return SurfaceVelocity(velocity=velocity, **keys).numeric(NO_GRAVITY)
-
-
-def rotation(point, axis, angular_velocity, **keys):
-    given = {"point": point, "axis": axis, "angular_velocity": angular_velocity}
-    return Rotation(**given, **keys).numeric(NO_GRAVITY)
-
-
-def oscillation(point, axis, amplitude, angular_frequency, **keys):
-    given = {"point": point, "axis": axis, "amplitude": amplitude, "angular_frequency": angular_frequency}
-    return Oscillation(**given, **keys).numeric(NO_GRAVITY)
-
-
-def table(times, **keys):
-    return TableMotion(times=times, **keys).numeric(NO_GRAVITY)
+vibration = builder(motions.Vibration, "direction", "amplitude", "angular_frequency")
+translation = builder(motions.Translation, "velocity")
+surface_velocity = builder(motions.SurfaceVelocity, "velocity")
+rotation = builder(motions.Rotation, "point", "axis", "angular_velocity")
+oscillation = builder(motions.Oscillation, "point", "axis", "amplitude", "angular_frequency")
+table = builder(motions.TableMotion, "times")
