@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clumps import ROD, about, clump_group
+from clumps import ROD, about, clump_group, falling_clumps
 from scene_builders import box, build_scene, particle_group, plane, run_and_sample, run_to_end
 
 from granflow.errors import GranflowError, SceneError
@@ -22,31 +22,20 @@ from granflow.simulation import Simulation
 NUMERICS = {"chunk_size": 16, "max_overlap": 0.2}
 FRICTION = {"friction": 0.4, "restitution": 0.4}
 OUT = {"out": {"box": {"min": [-1.0, -1.0, -1.0], "max": [1.0, 1.0, -0.1]}}}
-TRIANGLE = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.8e-3, 1.8e-3, 0.0]]
+TRIANGLE, RADII = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.8e-3, 1.8e-3, 0.0]], [2e-3, 1.5e-3, 1.8e-3]
 
 
-def falling_clumps():
+def clumps_in_a_box():
     """32 clumps of two kinds, 9 spheres and rain of clumps in a box: friction, rebuilds, several chunks."""
-    rng = np.random.default_rng(8)
-    sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
-    velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
-    rods = clump_group(sites[:16], velocity=velocity, angular_velocity=rng.normal(0, 50, (16, 3)))
-    others = clump_group(sites[16:], TRIANGLE, [2e-3, 1.5e-3, 1.8e-3], "random", "steel", velocity=velocity)
-    balls = particle_group(0.012 * np.argwhere(np.ones((3, 3, 1))) + [0.01, 0.01, 0.035], 0.005)
-    region = {"box": {"min": [0.002, 0.002, 0.042], "max": [0.052, 0.052, 0.054]}}
-    rain = {
-        "material": "steel", "count": 12, "clump": others["clump"], "velocity": [0.0, 0.0, -0.5],
-        "insert": {"kind": "rain", "region": region, "rate": 1500.0},
-    }  # fmt: skip
     return build_scene(
-        {"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), pair=FRICTION, outlets=OUT,
-        gravity=[0.0, 0.0, -100.0], numerics=NUMERICS, output={"interval": 0.004, "energy_budget": True},
+        falling_clumps(TRIANGLE, RADII), box(0.055), pair=FRICTION, outlets=OUT, gravity=[0.0, 0.0, -100.0],
+        numerics=NUMERICS, output={"interval": 0.004, "energy_budget": True},
         run={"duration": 0.04, "velocity_max": 4.0, "time_step": 4e-6},
     )  # fmt: skip
 
 
 def small_scene(groups, **parts):
-    """A scene of the structure of `falling_clumps`: walls that meet, outlet, budget, friction, two materials."""
+    """A scene of the structure of `clumps_in_a_box`: walls that meet, outlet, budget, friction, two materials."""
     walls = {"floor": plane([0, 0, -0.9], [0, 0, 1]), "side": plane([-0.9, 0, 0], [1, 0, 0])}
     parts = {"pair": FRICTION, "outlets": OUT, "output": {"interval": 1.0, "energy_budget": True}} | parts
     return build_scene(groups, walls, numerics=NUMERICS, **parts)
@@ -54,9 +43,9 @@ def small_scene(groups, **parts):
 
 def test_clumps_fall_as_rigid_bodies_and_their_energy_budget_closes(taichi_f64):
     """Distances within each clump are those of the given positions, although its spheres overlap by half."""
-    snapshots = run_and_sample(falling_clumps(), 0.004, contacts=True, threads=2)
+    snapshots = run_and_sample(clumps_in_a_box(), 0.004, contacts=True, threads=2)
     last = snapshots[-1]
-    assert_fields_of_bodies(last, falling_clumps())
+    assert_fields_of_bodies(last, clumps_in_a_box())
     particles = last.particles
     expected = np.linalg.norm(np.diff(ROD, axis=0), axis=1)
     for clump in np.unique(particles["clump"])[1:17]:
@@ -115,9 +104,7 @@ def test_start_from_takes_clumps_with_their_orientation_and_motion(taichi_f64, t
     sites = np.array([[0.0, 0.0, 0.1], [0.05, 0.0, 0.1]])
     groups = {
         "rods": clump_group(sites, orientation="random", **motion),
-        "others": clump_group(
-            sites + [0, 0.05, 0], TRIANGLE, [2e-3, 1.5e-3, 1.8e-3], "random", "steel", **motion
-        ),
+        "others": clump_group(sites + [0, 0.05, 0], TRIANGLE, RADII, "random", "steel", **motion),
     }
     everywhere = {"kind": "content", "region": {"min": [-1.0] * 3, "max": [1.0] * 3}}
     output = {"interval": 1.0, "energy_budget": True, "metrics": {"all": everywhere}}

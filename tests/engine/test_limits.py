@@ -37,7 +37,13 @@ def among_valid(*more, **parts):
 BULLET = particle_group([[0.0, 0.0, 0.0]], velocity=[40.0, 0, 0])
 TARGET = particle_group([[0.012, 0.0, 0.0]], material="steel")
 SCENES = {
-    "overlaps with": ((BULLET, TARGET), {"run": {"duration": 0.01, "velocity_max": 40.0}}),
+    "overlaps with": (
+        (BULLET, TARGET),
+        {
+            "run": {"duration": 0.01, "velocity_max": 1.0},
+            "numerics": NUMERICS | {"max_overlap": 0.1, "skin": 5e-3},
+        },
+    ),
     "above the limit": (
         (particle_group([[0.0, 0.0, 0.0]], velocity=[199.0, 0, 0]),),
         {
@@ -72,6 +78,17 @@ def test_abort_reports_particle_and_time_and_writes_a_frame(taichi_f64, tmp_path
     assert any("particles" in frame.name for frame in sorted(tmp_path.rglob("*.vtu"))[-2:])
     assert_finite(tmp_path)
     simulation.free()
+    if reason == "overlaps with":
+        assert_names_both_particles(message)
+
+
+def assert_names_both_particles(message):
+    """With material and speed; the impact is faster than planned."""
+    assert re.search(r"particle 2 \(glass, 39\.\d m/s\) .* with particle 3 \(steel, 0\.\d+ m/s\)", message)
+    assert 0.1 < number_after(") by", message) < 0.2
+    assert 39.0 < number_after("approach at", message) < 40.0
+    assert "results from an impact at 40 m/s" in message and "above the planned 1 m/s" in message
+    assert 40.0 <= number_after("set run.velocity_max to", message) < 60.0
 
 
 def assert_finite(folder):
@@ -117,17 +134,6 @@ def abort_message(scene):
 
 def number_after(words, message):
     return float(message.partition(words)[2].split()[0].rstrip(".,:"))
-
-
-def test_overlap_message_names_both_particles_with_material_and_speed(taichi_f64):
-    numerics = NUMERICS | {"max_overlap": 0.1, "skin": 5e-3}
-    run = {"duration": 0.01, "velocity_max": 1.0}
-    message = abort_message(among_valid(BULLET, TARGET, run=run, numerics=numerics))
-    assert re.search(r"particle 2 \(glass, 39\.\d m/s\) .* with particle 3 \(steel, 0\.\d+ m/s\)", message)
-    assert 0.1 < number_after(") by", message) < 0.2
-    assert 39.0 < number_after("approach at", message) < 40.0
-    assert "results from an impact at 40 m/s" in message and "above the planned 1 m/s" in message
-    assert 40.0 <= number_after("set run.velocity_max to", message) < 60.0
 
 
 def end_of_collision(numerics):

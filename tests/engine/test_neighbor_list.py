@@ -47,12 +47,13 @@ def test_neighbor_list_holds_exactly_the_candidate_pairs_and_distant_particles_d
 
 
 def test_size_classes_find_all_candidate_pairs(taichi_f64):
-    """Sizes 1 : 20 in four classes; pairs are owned, and listed twice across chunks, as with one class."""
+    """Sizes 1 : 20 in four classes; pairs are owned, and listed twice across chunks, as with one class. Minimum images
+    along all axes; the grid of the largest class has two cells along z and three along the others."""
     rng = np.random.default_rng(9)
-    size, skin = 0.1, 0.0003
+    size, skin = np.array([0.1, 0.1, 0.065]), 0.0003
     diameter = 0.0015 * 20.0 ** np.concatenate([rng.random(800) ** 3, [0.0, 1.0]])
-    positions = rng.uniform(0.0, size, (len(diameter), 3))
-    domain = {"min": [0.0] * 3, "max": [size] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"}
+    positions = size * rng.random((len(diameter), 3))
+    domain = {"min": [0.0] * 3, "max": size.tolist(), "periodic": ["x", "y", "z"], "on_exit": "error"}
     groups = {"balls": particle_group(positions, diameter)}
     scene = build_scene(groups, numerics={"chunk_size": 64, "skin": skin}, domain=domain)
     simulation = prepared_simulation(scene)

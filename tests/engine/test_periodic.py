@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 from geometry.meshes import write
-from scene_builders import (
-    assert_lists_hold,
-    build_scene,
-    column,
-    particle_group,
-    plane,
-    prepared_simulation,
-    run_and_sample,
-    run_to_end,
-    times,
-)
-from scipy.spatial import cKDTree
+from scene_builders import build_scene, column, particle_group, plane, run_and_sample, run_to_end, times
 
 from granflow.errors import SceneError
 from granflow.load import Scene
@@ -41,24 +30,6 @@ def in_box(groups, size, axes, **parts):
     usual |= {"pairs": {"glass-steel": {"friction": 0.0, "restitution": 0.7}}} if walls else {}
     numerics = {"chunk_size": 37} | parts.pop("numerics", {})
     return build_scene(groups, walls, domain=domain(size, axes), numerics=numerics, **(usual | parts))
-
-
-def test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images(taichi_f64):
-    """Compared with a search over all pairs; the grid has eight cells along x, three along y and two along z."""
-    size = np.array([0.15, 0.06, 0.037])
-    skin = 0.002
-    rng = np.random.default_rng(5)
-    positions = size * rng.random((500, 3))
-    diameter = rng.uniform(0.006, 0.016, 500)
-    balls = {"balls": particle_group(positions, diameter)}
-    simulation = prepared_simulation(in_box(balls, size, "xyz", numerics={"skin": skin}))
-    pairs = cKDTree(positions, boxsize=size).query_pairs(0.018, output_type="ndarray")
-    distance = positions[pairs[:, 0]] - positions[pairs[:, 1]]
-    distance -= np.round(distance / size) * size
-    is_candidate = np.linalg.norm(distance, axis=1) < 0.5 * diameter[pairs].sum(axis=1) + skin
-    assert is_candidate.sum() > 200
-    assert_lists_hold(simulation, pairs[is_candidate])
-    simulation.free()
 
 
 def gas(shift):

@@ -4,7 +4,16 @@ import csv
 
 import numpy as np
 import pytest
-from scene_builders import SOFT, box, build_scene, particle_group, plane, run_and_sample, run_to_end
+from scene_builders import (
+    SOFT,
+    box,
+    build_scene,
+    few_spheres,
+    particle_group,
+    plane,
+    run_and_sample,
+    run_to_end,
+)
 
 from granflow.contact import theory
 from granflow.fields import RUN_QUANTITIES
@@ -13,6 +22,8 @@ from granflow.simulation import Simulation
 MASS = 4.0 / 3.0 * np.pi * 0.005**3 * 2500.0
 GRAVITY = 9.81
 EPS = np.finfo(float).eps
+MODULUS = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
+"""Effective modulus of two bodies of the material [Pa]."""
 ACCELERATION = 800.0
 """Of a wall that a force moves [m/s2]."""
 
@@ -76,25 +87,37 @@ def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
     assert np.abs(residual[1]).max() < snapshots[-1].step * EPS * scale * 0.06
 
 
+FREE = {"kind": "free", "direction": [1, 0, 0], "mass": 1.0}
+DISC = {"shape": "disc", "normal": [0, 0, 1], "radius": 0.03, "material": "glass"}
+
+
+def measured(positions, walls, velocity=(0.0, 0.0, 0.0), **parts):
+    """Balls and walls whose forces are measured. All scenes have one compiled structure: a disc and a free wall are
+    far away unless given, and other pairs have friction and damping."""
+    far = {"disc": DISC | {"center": [0, 0, -0.8]}, "piston": plane([0, 0, 0.9], [0, 0, -1], motion=[FREE])}
+    is_free = any(motion["kind"] == "free" for wall in walls.values() for motion in wall.get("motion", []))
+    walls = far | walls if not is_free else {"disc": far["disc"]} | walls
+    parts = {"output": {"interval": 1.0, "energy_budget": True, "wall_forces": True}} | parts
+    return few_spheres(
+        {"balls": particle_group(positions, velocity=velocity)}, walls, normal="hertz", **parts
+    )
+
+
 @pytest.mark.parametrize("moves", ["before", "force"])
 def test_torque_refers_to_the_axis_that_moves_with_the_wall(taichi_f64, moves):
     """A particle at x = 10 mm rests on a turntable without friction: its weight m g has the torque (x - p) m g
     about y. The axis p = 20 mm + v t moves with a translation before the rotation, so that the mean over n steps
-    is (-10 mm - v T / 2 (1 + 1/n)) m g; after the rotation, the translation does not move it.
+    is (-10 mm - v T / 2 (1 + 1/n)) m g.
 
     A force moves it by p = 20 mm + a t^2 / 2, of which the mean is a dt^2 / 2 (n + 1) (2 n + 1) / 6.
     """
-    k = theory.hertz_stiffness(SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2)), 0.005)
-    height = 0.005 - (MASS * GRAVITY / k) ** (2.0 / 3.0)
+    height = 0.005 - (MASS * GRAVITY / theory.hertz_stiffness(MODULUS, 0.005)) ** (2.0 / 3.0)
     travel = {"kind": "translation", "velocity": [2.0, 0, 0]}
     turn = {"kind": "rotation", "point": [0.02, 0, 0], "axis": [0, 0, 1], "angular_velocity": 3.0}
-    push = {"kind": "free", "direction": [1, 0, 0], "mass": 1.0, "force": ACCELERATION}
-    motions = {"before": [travel, turn], "after": [turn, travel]}.get(moves, [push, turn])
-    table = plane([0, 0, 0], [0, 0, 1]) | {"motion": motions}
-    scene = build_scene(
-        {"ball": particle_group([[0.01, 0.0, height]])}, walls={"table": table}, normal="hertz",
-        gravity=[0.0, 0.0, -GRAVITY], run={"duration": 0.004, "velocity_max": 0.5},
-        output={"interval": 1.0, "wall_forces": True},
+    push = FREE | {"force": ACCELERATION}
+    table = plane([0, 0, 0], [0, 0, 1], motion=[{"before": travel, "force": push}[moves], turn])
+    scene = measured(
+        [[0.01, 0.0, height]], {"table": table}, gravity=[0.0, 0.0, -GRAVITY], run={"duration": 0.004, "velocity_max": 0.5}
     )  # fmt: skip
     last = run_and_sample(scene, 0.004)[-1]
     steps = last.step
@@ -102,18 +125,17 @@ def test_torque_refers_to_the_axis_that_moves_with_the_wall(taichi_f64, moves):
         "before": 0.5 * 2.0 * last.time * (1 + 1 / steps),
         "force": 0.5 * ACCELERATION * last.time**2 * (steps + 1) * (2 * steps + 1) / (6 * steps**2),
     }
-    arm = -0.01 - mean_travel.get(moves, 0.0)
+    arm = -0.01 - mean_travel[moves]
     weight = MASS * GRAVITY * last.time
     np.testing.assert_allclose(last.impulses["table"][[2, 4]], [-weight, arm * weight], rtol=1e-9)
 
 
 def test_impulse_of_one_impact(taichi_f64):
     """J = m (1 + e) v with the measured e; no tangential impulse; the pressure is over the area of the disc."""
-    disc = {"shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.03, "material": "glass"}
-    scene = build_scene(
-        {"ball": particle_group([[0.01, 0.0, 0.0051]], velocity=[0.0, 0.0, -1.0])}, walls={"disc": disc},
-        pair={"restitution": 0.6}, run={"duration": 0.002, "velocity_max": 1.0},
-        output={"interval": 1.0, "wall_forces": ["disc"]},
+    scene = measured(
+        [[0.01, 0.0, 0.0051]], {"disc": DISC | {"center": [0, 0, 0]}}, [0.0, 0.0, -1.0], pair={"restitution": 0.6},
+        run={"duration": 0.002, "velocity_max": 1.0},
+        output={"interval": 1.0, "energy_budget": True, "wall_forces": ["disc"]},
     )  # fmt: skip
     simulation = Simulation(scene)
     result = simulation.run().numbers
@@ -133,23 +155,18 @@ def test_impulse_of_one_impact(taichi_f64):
 
 def stacked_particles(count=3):
     """Particles stacked on a floor, each contact at its static overlap."""
-    modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
     heights, below = [], 0.0
     for index in range(count):
-        k = theory.hertz_stiffness(modulus, 0.005 if index == 0 else 0.0025)
+        k = theory.hertz_stiffness(MODULUS, 0.005 if index == 0 else 0.0025)
         below += (0.005 if index == 0 else 0.01) - ((count - index) * MASS * GRAVITY / k) ** (2.0 / 3.0)
         heights.append([0.0, 0.0, below])
     walls = {"floor": plane([0, 0, 0], [0, 0, 1]), "lid": plane([0, 0, 1], [0, 0, -1])}
     expected = {"quantity": "wall_force_z.floor", "equals": -count * MASS * GRAVITY, "tolerance": 1e-9}
-    return build_scene(
-        {"balls": particle_group(heights)},
-        walls,
-        normal="hertz",
-        gravity=[0.0, 0.0, -GRAVITY],
-        run={"duration": 0.004, "velocity_max": 0.5},
-        output={"interval": 0.002, "timeseries_interval": 0.001, "wall_forces": True},
+    output = {"interval": 0.002, "timeseries_interval": 0.001, "energy_budget": True, "wall_forces": True}
+    return measured(
+        heights, walls, gravity=[0.0, 0.0, -GRAVITY], run={"duration": 0.004, "velocity_max": 0.5}, output=output,
         expect=[expected],
-    )
+    )  # fmt: skip
 
 
 def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
@@ -184,10 +201,9 @@ def test_friction_uses_the_wall_velocity_in_the_middle_of_the_step(taichi_f64):
     motion = {
         "kind": "vibration", "direction": [1, 0, 0], "amplitude": amplitude, "angular_frequency": omega
     }  # fmt: skip
-    scene = build_scene(
-        {"ball": particle_group([0.0, 0.0, radius - overlap], 2 * radius)},
-        walls={"plate": plane([0, 0, 0], [0, 0, 1]) | {"motion": motion}},
-        pair={"restitution": 1.0, "friction": 10.0}, normal="hertz", materials=heavy,
+    scene = measured(
+        [[0.0, 0.0, radius - overlap]], {"plate": plane([0, 0, 0], [0, 0, 1], motion=[motion])},
+        pair={"restitution": 1.0, "friction": 10.0}, materials=heavy,
         run={"duration": 1.0, "time_step": step, "velocity_max": 1.0},
     )  # fmt: skip
     last, _ = run_to_end(scene, until=count * step)
