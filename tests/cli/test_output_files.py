@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from scene_builders import build_scene, particle_group
+from plan.scenes import scene_of
 
 import granflow as gf
 from granflow.cli.main import main
@@ -13,11 +13,10 @@ from granflow.cli.main import main
 def run(tmp_path_factory, taichi_f64):
     """Directory of a short run of one ball, whose position is in a table with an unusual name."""
     folder = tmp_path_factory.mktemp("files")
-    (folder / "table.html").write_text("x,y,z,diameter\n0,0,0,0.01\n")
-    scene = build_scene({"ball": particle_group([[0, 0, 0]])}, run={"duration": 1e-4, "velocity_max": 1.0})
-    scene = scene.model_dump(exclude_none=True, by_alias=True)
-    scene["particles"]["ball"] = {"material": "glass", "insert": {"kind": "file", "file": "table.html"}}
-    with gf.Simulation(gf.Scene.from_dict(scene, folder), threads=2, out=folder / "run") as simulation:
+    (folder / "table.html").write_text("x,y,z,diameter\n0.01,0.01,0.01,0.004\n")
+    ball = "{material: glass, insert: {kind: file, file: table.html}}"
+    scene = scene_of(folder, f"particles={{ball: {ball}}}", "run.duration=0.1 ms", "output.interval=0.1 ms")
+    with gf.Simulation(scene, threads=2, out=folder / "run") as simulation:
         simulation.run()
     return folder / "run"
 

@@ -1,6 +1,7 @@
 """Small scenes, and brute-force checks of generated particles."""
 
 import numpy as np
+from scene_builders import build_scene, particle_group
 from scipy.spatial import cKDTree
 
 from granflow.load import Scene
@@ -12,25 +13,11 @@ UNIFORM = {"distribution": "uniform", "min": 0.003, "max": 0.005}
 
 def scene_with(groups, seed=1, folder=None):
     """A scene with the given groups: mappings with insert, count, diameter and other keys."""
-    material = {"young_modulus": 1e9, "poisson_ratio": 0.3, "density": 2500}
-    return Scene.from_dict(
-        {
-            "title": "Trial",
-            "seed": seed,
-            "gravity": [0, 0, -9.81],
-            "materials": {"other": material, "glass": material},
-            "pairs": {
-                key: {"restitution": 0.5, "friction": 0}
-                for key in ("glass-glass", "glass-other", "other-other")
-            },
-            "contact": {"normal": "zhou", "tangential": "none", "rolling": "none"},
-            "particles": {name: {"material": "glass"} | group for name, group in groups.items()},
-            "domain": {"min": [-1, -1, -1], "max": [1, 1, 1], "on_exit": "delete"},
-            "run": {"duration": 1},
-            "output": {"interval": 0.1},
-        },
-        folder,
-    )
+    groups = {name: {"material": "glass"} | group for name, group in groups.items()}
+    both = {name: particle_group([[0, 0, 0]], material=name) for name in ("other", "glass")}
+    domain = {"min": [-1] * 3, "max": [1] * 3, "on_exit": "delete"}
+    scene = build_scene(both, gravity=[0, 0, -9.81], domain=domain).to_dict()
+    return Scene.from_dict(scene | {"seed": seed, "particles": groups}, folder)
 
 
 def smallest_gap(position, radius):
