@@ -335,6 +335,7 @@ def _draft(deck: Deck, path: Path) -> Draft:
     materials.build(deck, draft)
     geometry.build(deck, draft)
     insertion.build(deck, draft)
+    motion.carry(deck, draft)
     schedule.build(deck, draft)
     waiting.build(deck, draft)
     deformation.build(deck, draft)

@@ -12,6 +12,7 @@ from granflow.importing.deck import Deck, Fix, Group, Points, Words
 from granflow.importing.language import Command, DeckError
 from granflow.importing.regions import contains, region_of
 from granflow.importing.report import Entry
+from granflow.importing.scene_text import plain_name
 from granflow.io.tables import is_number
 
 INTEGRATORS = (
@@ -132,6 +133,9 @@ def tell_inserted(deck: Deck) -> None:
             fix.entry.impossible("inserted particles whose force is set", HELD)
         elif fix.data is not None and not deck.family.get("points"):
             fix.entry.not_needed("the group has no particles")
+    for fix in deck.fixes_of("move"):
+        if fix.group in members or not deck.family.get("points"):
+            fix.entry.impossible("inserted particles that are moved", MOVED)
     integrators = [fix for fix in deck.fixes_of(*INTEGRATORS) if fix.group in members and deck.acting(fix)]
     runs = [run for run in deck.runs if run.steps]
     if integrators and not all(any(fix.acts_in(run) for fix in integrators) for run in runs):
@@ -198,6 +202,31 @@ def fixed_points(deck: Deck, points: Points) -> np.ndarray:
                 "the group all, or fixed: true for particles that do not move",
             )
     return fixed
+
+
+def carried_points(deck: Deck, points: Points, fixed: np.ndarray) -> np.ndarray:
+    """Name (n,) of the wall with which each particle moves by a fix move; empty for the others."""
+    carried = np.full(len(points.type), "", dtype=object)
+    for fix in deck.fixes_of("move"):
+        if fix.data is None or not deck.acting(fix):
+            continue
+        chosen = _of_fix(deck, points, fix)
+        if (chosen & ~fixed).any():
+            fix.entry.impossible("particles that a fix integrates and fix move moves", MOVED)
+        elif (carried[chosen] != "").any():
+            fix.entry.impossible("several motions of the same particles", MOVED)
+        elif not chosen.any():
+            fix.entry.not_needed("the group has no particles")
+        else:
+            wall = plain_name(f"{fix.name}_carrier", "wall")
+            carried[chosen] = wall
+            first = int(np.argmax(chosen))
+            deck.own("carriers", dict)[wall] = (fix, points.position[first], float(points.radius[first]))
+    return carried
+
+
+MOVED = "fixed: {to: WALL}, particles that move with a wall"
+"""The nearest to particles that are moved."""
 
 
 def setforce(deck: Deck, fix: Fix) -> None:

@@ -213,6 +213,67 @@ STYLES: dict[str, Callable[[Deck, Fix, Words, str], Move]] = {
 """Reader of each style of move/mesh."""
 
 
+# Motions of particles
+
+
+def move_particles(deck: Deck, fix: Fix) -> None:
+    """fix ID group move linear VX VY VZ | wiggle AX AY AZ T | rotate PX PY PZ RX RY RZ T [units box]"""
+    words = Words(deck, fix.entry.command, fix.words)
+    style = words.word("the style of the motion")
+    if style not in ("linear", "wiggle", "rotate") or "NULL" in fix.words:
+        words.skip()
+        fix.entry.impossible(f"the motion {style} of particles", "linear, wiggle or rotate, or a table")
+        return
+    if style == "linear":
+        fix.data = _linear(deck, fix, words, "")
+    elif style == "wiggle":
+        amplitude = np.array(words.vector("the amplitude", "length"))
+        omega = 2.0 * pi / _period(words)
+        parts = [vibration(amplitude, omega, 0.0)] if amplitude.any() else []
+        fix.data = Move("", parts, lambda t: amplitude * sin(omega * t))
+    else:
+        point = words.vector("the point", "length")
+        axis = _axis(words)
+        rate = 2.0 * pi / _period(words)
+        fix.data = Move("", [], _nowhere, point, axis, lambda t: rate * t, rate)
+    if words and [words.word("a keyword"), words.word("box or lattice")] != ["units", "box"]:
+        fix.entry.impossible("lengths of a motion in units of a lattice", "units box")
+
+
+def carry(deck: Deck, draft: Draft) -> None:
+    """A wall for each fix move of particles, which they follow.
+
+    It is a small disc in the center of one of them, so that no other particle touches it.
+    """
+    particles = draft.get("particles") or {}
+    for wall, (fix, center, radius) in deck.own("carriers", dict).items():
+        names = [name for name, group in particles.items() if group.get("fixed") == {"to": wall}]
+        if not names:
+            continue
+        move: Move = fix.data
+        parts = move.parts
+        if move.axis is not None and move.rate is not None:
+            place = {"point": quantities(move.point, "length"), "axis": [*move.axis]}
+            parts = [
+                {"kind": "rotation", **place, "angular_velocity": quantity(move.rate, "angular_velocity")}
+            ]
+        keys = {
+            "shape": "disc",
+            "center": quantities(center.tolist(), "length"),
+            "normal": [0, 0, 1],
+            "radius": quantity(CARRIER_SHARE * radius, "length"),
+            "material": particles[names[0]]["material"],
+        }
+        motion = [{**part, **_when(deck, fix)} for part in parts]
+        draft.put(("walls", wall), {**keys, **({"motion": motion} if motion else {})}, fix.entry)
+        draft.remark(("walls", wall), remark="moves particles, and lies inside one of them")
+
+
+CARRIER_SHARE = 0.1
+"""Radius of the disc that moves particles over that of the particle in which it lies: other particles, which
+overlap with this one by at most 0.8 of the radius, do not touch it."""
+
+
 # Motions of a mesh
 
 
@@ -493,6 +554,9 @@ def _segments(times: np.ndarray, values: np.ndarray) -> list[tuple[float, float,
 
 FIXES: dict[str, Translation] = {
     "move/mesh": Translation(move_mesh, "walls.NAME.motion", f"{', '.join(STYLES)}; several form a chain"),
+    "move": Translation(
+        move_particles, "particles.NAME.fixed: {to: WALL}", "linear, wiggle and rotate of given positions"
+    ),
 }
 COMMANDS: dict[str, Translation] = {}
-STAGED.add("move/mesh")
+STAGED.update(("move", "move/mesh"))

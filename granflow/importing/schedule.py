@@ -734,7 +734,6 @@ FIXES: dict[str, Translation] = {
     "efield": impossible("electric fields", "a Python program that adds forces (notebook drag_and_field)"),
     "buoyancy": impossible("buoyancy", "a Python program that adds forces"),
     "enforce2d": impossible("two-dimensional simulations", "a layer one diameter thick between two walls"),
-    "move": impossible("motion of particles", "a wall with the motion"),
     "momentum": impossible("momentum", "thermal: {zero_momentum: true} at the start"),
     **dict.fromkeys(
         ("press/berendsen", "nph", "npt", "nph/sphere", "npt/sphere"),

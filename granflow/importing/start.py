@@ -22,7 +22,7 @@ from granflow.importing.deck import (
     entry_of,
     impossible,
 )
-from granflow.importing.groups import fixed_points
+from granflow.importing.groups import carried_points, fixed_points
 from granflow.importing.insertion import extent_of, scene_region
 from granflow.importing.language import Command, DeckError
 from granflow.importing.regions import Lattice, contains, lattice_spacing, region_of
@@ -260,10 +260,15 @@ def add_points(deck: Deck, draft: Draft) -> None:
     rest = None if found is None else found.position[~np.isin(found.fill, [*packed])]
     if found is not None and rest is not None:
         held = fixed_points(deck, found)
+        carried = carried_points(deck, found, held)
+        in_tables = ~np.isin(found.fill, [*packed])
+        for fix, *_ in deck.own("carriers", dict).values():
+            if (carried[~in_tables] != "").any():
+                fix.entry.impossible("random particles that overlap and are moved", "insert: {kind: file}")
         if packed:
             _add_fills(deck, found, held, packed)
         if len(rest):
-            _add_tables(deck, draft, found, held, ~np.isin(found.fill, [*packed]))
+            _add_tables(deck, draft, found, held, carried, in_tables)
     for number, fill in enumerate(deck.own("fills", list)):
         fill.entry.approximated(
             "the positions overlap and are replaced by those of kind: pack, without overlap"
@@ -358,18 +363,21 @@ def _diameters(radius: np.ndarray) -> Any:
     return {"distribution": "classes", "by": "number", "classes": classes}
 
 
-def _add_tables(deck: Deck, draft: Draft, points: Points, held: np.ndarray, chosen: np.ndarray) -> None:
-    """The groups of particles at given positions: one table, one group for each type and density."""
-    columns = (points.type[chosen].tolist(), points.density[chosen].tolist(), held[chosen].tolist())
+def _add_tables(
+    deck: Deck, draft: Draft, points: Points, held: np.ndarray, carried: np.ndarray, chosen: np.ndarray
+) -> None:
+    """The groups of particles at given positions: one table, one group for each type, density and motion."""
+    columns = [each[chosen].tolist() for each in (points.type, points.density, held, carried)]
     kinds = sorted(set(zip(*columns, strict=True)))
-    for type, density, is_held in kinds:
+    for type, density, is_held, wall in kinds:
         rows = chosen & (points.type == type) & (points.density == density) & (held == is_held)
+        rows &= carried == wall
         name = (
             f"type{type}"
-            if len({t for t, _, _ in kinds}) == len({(t, d) for t, d, _ in kinds})
+            if len({t for t, *_ in kinds}) == len({(t, d) for t, d, *_ in kinds})
             else f"type{type}_{density:g}".replace(".", "_")
         )
-        name += "_fixed" if is_held else ""
+        name += f"_{wall}" if wall else "_fixed" if is_held else ""
         table = [points.position[rows], points.radius[rows, None]]
         heads = ["x", "y", "z", "r"]
         if points.motion[rows].any() and not is_held:
@@ -380,7 +388,7 @@ def _add_tables(deck: Deck, draft: Draft, points: Points, held: np.ndarray, chos
         radii = (float(points.radius[rows].min()), float(points.radius[rows].max()))
         keys: dict[str, Any] = {"insert": {"kind": "file", "file": file}}
         if is_held:
-            keys["fixed"] = True
+            keys["fixed"] = {"to": wall} if wall else True
         deck.particles.append(
             ParticleGroup(
                 f"start_{name}",

@@ -565,6 +565,22 @@ def test_gravity_that_changes_is_that_of_a_stage(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(("style", "motion"), [
+    ("linear 0.1 0 0", {"kind": "translation", "velocity": ["100 mm/s", 0, 0]}),
+    ("wiggle 0 0.003 0 0.02", {"kind": "vibration", "direction": [0, 1, 0], "amplitude": "3 mm", "frequency": "50 Hz"}),
+    ("rotate 0.05 0.05 0 0 0 1 0.02 units box",
+     {"kind": "rotation", "point": ["50 mm", "50 mm", 0], "axis": [0, 0, 1], "angular_velocity": "314.159265359 rad/s"}),
+])  # fmt: skip
+def test_moved_particles_follow_a_wall(tmp_path, style, motion):
+    end = f"fix m two move {style}\nrun 100\nunfix m\nrun 50"
+    script = lammps(atoms=ATOMS, end=end).replace("fix i all nve", "fix i one nve")
+    found, scene = imported(tmp_path, script)
+    assert scene["walls"]["m_carrier"]["motion"] == [{**motion, "stages": ["stage_1"]}]
+    groups = {name: group.get("fixed") for name, group in scene["particles"].items()}
+    assert groups == {"start_type1": None, "start_type2_m_carrier": {"to": "m_carrier"}}
+    gf.plan_for(loaded(tmp_path, found))
+
+
 def test_gravity_of_variables_is_a_table(tmp_path):
     """The box tilts by 30 degrees in 0.01 s; the second run has gravity of a constant variable."""
     before = "variable t equal 30*elapsed*dt/0.01\nvariable m equal 9.81\nfix g all gravity v_m chute v_t\n"
