@@ -110,8 +110,8 @@ class Mesh(Surface):
         return bool(np.all((is_upright & rises)[is_near]))
 
     def has_touching_parts(self, tolerance: float) -> bool:
-        """See `Surface`; also if an edge has more than two triangles."""
-        if self.adjacency.nonmanifold_count:
+        """See `Surface`; also if an edge has more than two triangles, or two that lie on each other."""
+        if self.adjacency.nonmanifold_count or self.adjacency.folded_count:
             return True
         part = connected_parts(classify_edges(self.corners)[0] // 3, self.triangle_count)
         part_count = part.max() + 1

@@ -87,6 +87,8 @@ class MeshAdjacency:
     """Number of edges with one triangle; 0 for a watertight mesh."""
     nonmanifold_count: int
     """Number of edges with more than two triangles."""
+    folded_count: int
+    """Number of edges whose two triangles lie on each other, as both sides of a plate without thickness."""
 
 
 def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
@@ -103,6 +105,7 @@ def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
     inward = normalized(np.cross(normal[:, None, :], edge_direction)).reshape(-1, 3)
     pairs, nonmanifold, open_edges = classify_edges(corners)
     count = 3 * len(corners)
+    is_folded = np.linalg.norm(inward[pairs[:, 0]] - inward[pairs[:, 1]], axis=1) <= COPLANAR_ANGLE
     edges = _Edges(inward, np.zeros(count, bool), np.full(count, NOT_OWNED), np.zeros_like(inward))
     edges.role[open_edges] = OPEN_EDGE
     edges.share(*pairs.T)
@@ -132,6 +135,7 @@ def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
         competitor=competitor,
         open_count=len(open_edges),
         nonmanifold_count=len(nonmanifold),
+        folded_count=int(is_folded.sum()),
     )
 
 

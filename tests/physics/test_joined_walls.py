@@ -119,6 +119,12 @@ def seams(folder):
     write(folder / "across.stl", *flat([-0.1, 0.05], [0.1, 0.09]))
     walls["across"] = mesh_wall("across.stl")
     positions += on_seam(0.1, 0.06, (-0.6, -0.3, 0.0, 0.3))
+    # Both sides of a plate without thickness, divided along different diagonals.
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    write(folder / "folded.stl", [-0.08, 0.1, 0] + 0.04 * square,
+          np.array([[0, 1, 2], [0, 2, 3], [1, 2, 3], [0, 1, 3]]))  # fmt: skip
+    walls["folded"] = mesh_wall("folded.stl")
+    positions += on_seam(-0.05, 0.11)
     return walls, np.array(positions)
 
 
