@@ -13,7 +13,9 @@ import granflow as gf
 from granflow.engine.checkpoint import renumbered
 from granflow.plan.build import plan_for
 from granflow.plan.wall_changes import with_motions
+from granflow.plan.walls import geometry_speed
 from granflow.scene.blocks.motions import placement_at, poses_at
+from granflow.scene.blocks.walls.rectangle import rectangle
 
 GRAVITY = 9.81
 
@@ -76,7 +78,8 @@ def test_a_motion_starts_from_the_present_pose_at_the_present_time(moves_before,
 
 
 def test_placement_continues_any_motion():
-    """The pose is continuous, and a rotation about another axis turns the placed wall as a rigid body."""
+    """The pose is continuous, and a rotation about another axis turns the placed wall as a rigid body: its
+    largest speed is that of the corner that is farthest from the axis."""
     earlier = (
         rotation((0.1, 0.2, 0.0), (0.0, 0.0, 1.0), 2.0),
         translation((0.3, 0.0, 0.1)),
@@ -85,7 +88,7 @@ def test_placement_continues_any_motion():
     points = np.random.default_rng(1).normal(size=(5, 3))
     time = 0.4
 
-    def moved(motions, at):
+    def moved(motions, at, points=points):
         found = poses_at(motions, np.array([at]))
         return (points - found.pivot) @ found.rotation[0].T + found.pivot + found.offset[0]
 
@@ -100,6 +103,10 @@ def test_placement_continues_any_motion():
     about_y = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     expected = (before - [1.0, 0.0, 0.0]) @ about_y.T + [1.0, 0.0, 0.06]
     np.testing.assert_allclose(moved(later, time + 0.3), expected, atol=1e-12)
+    plate = rectangle([0.3, 0.2, 0.1], [0.4, 0.0, 0.0], [0.0, 0.0, 0.5])
+    corners = moved((placed,), time, plate.triangles((0, 0, 0), 1.0)[0]) - [1.0, 0.0, 0.0]
+    speed = geometry_speed(plate, (placed, turning), SimpleNamespace(on_exit="expand"), 1.0)
+    assert speed == pytest.approx(rate * np.hypot(corners[:, 0], corners[:, 2]).max())
 
 
 def test_changes_that_are_not_possible_are_refused(taichi_f64):

@@ -178,12 +178,13 @@ COUNTS = {
     "open.stl": (FACET, "does not end with endsolid: it is truncated"),
     "right.ply": (ply(3), None),
     "above.ply": (ply(4), "PLY|declares 4 faces"),
+    "solid.obj": (FACET, "cannot be read as OBJ: line 1 begins with 'solid'"),
 }
 
 
 @pytest.mark.parametrize("name", COUNTS)
 def test_a_mesh_file_has_as_many_triangles_as_it_declares(tmp_path, name):
-    """No triangle of an STL file is dropped silently; a truncated PLY file is refused."""
+    """No triangle of an STL file is dropped silently; a truncated PLY file and an STL file as OBJ are refused."""
     content, reason = COUNTS[name]
     (tmp_path / name).write_bytes(content)
     if reason is None:
