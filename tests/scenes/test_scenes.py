@@ -1,15 +1,22 @@
-"""Shipped scenes satisfy their `expect:` blocks; large scenes are also tested in a reduced form."""
+"""Shipped scenes satisfy their `expect:` blocks, large ones in a reduced form; sweeps and calibrations are valid."""
+
+import pickle
 
 import numpy as np
 import pytest
 from scene_runner import SCENES, run_shipped_scene
 
-from granflow import load_scene
+from granflow import Scene, load_scene
 from granflow.cli.run import scene_paths
+from granflow.plan.build import plan_for
+from granflow.plan.restitution import restitution_warnings
+from granflow.studies.calibration.calibrate import estimate_trials, read_calibration
+from granflow.studies.checked_run import CheckedRun, RunSettings
+from granflow.studies.sweep import checked_points, read_sweep
 from granflow.studies.yield_locus import ShearTest, YieldLocusEvaluation, shear_point
 
-QUICK = ("through_flow", "unequal_spheres", "mfix_slip_to_roll")
-"""Verification scenes that tests/physics does not check with smaller tolerances; the others are slow tests."""
+QUICK = ("through_flow",)
+"""Verification scene whose subject no faster test has; the others are slow tests."""
 OTHERS = sorted({path.stem for path in (SCENES / "verification").glob("*.yaml")} - set(QUICK))
 LARGE = (
     *("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse", "impact", "clumps", "mixer"),
@@ -46,10 +53,22 @@ def test_large_and_other_scenes_satisfy_their_expectations(name, tmp_path, taich
     assert run_shipped_scene(name, tmp_path)[1] == []
 
 
-def test_every_scene_has_a_description_and_expectations():
-    for path in scene_paths().values():
-        scene = load_scene(path)
-        assert scene.description and scene.expect, path
+@pytest.mark.parametrize("path", scene_paths().values(), ids=lambda path: path.stem)
+def test_shipped_scene_is_complete_without_warnings_and_equal_after_saving(path, tmp_path):
+    """Verification scenes may have coarse steps, whose restitution differs."""
+    scene = load_scene(path)
+    plan = plan_for(scene)
+    assert scene.description and scene.expect
+    assert not [each.warning for each in plan.forecasts if each.warning]
+    assert path.parent.name == "verification" or not restitution_warnings(plan)
+    parts = {name: value for name in type(scene).model_fields if (value := getattr(scene, name)) is not None}
+    assert Scene(folder=path.parent, **parts) == scene == Scene.from_dict(scene.to_dict(), scene.folder)
+    again = pickle.loads(pickle.dumps(scene))
+    assert again == scene and (again.folder, again.path) == (scene.folder, scene.path)
+    for _, name in scene.input_names():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes((path.parent / name).read_bytes())
+    assert load_scene(scene.save(tmp_path / "again.yaml")) == scene
 
 
 @pytest.mark.slow
@@ -67,3 +86,18 @@ def test_cohesionless_preshear_of_the_shear_tester_has_the_friction_of_spheres(t
     assert normal == pytest.approx(5000.0, rel=0.01)
     low, high = np.tan(np.radians([18.9, 22.9]))
     assert low < shear / normal < high
+
+
+SWEEPS, CALIBRATIONS = (sorted((SCENES / folder).glob("*.yaml")) for folder in ("sweeps", "calibration"))
+
+
+@pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
+def test_all_points_of_a_shipped_sweep_are_valid(path, tmp_path):
+    points = checked_points(read_sweep(path), RunSettings(tmp_path, 1, "cpu", tmp_path / "stop"))
+    assert all(isinstance(run, CheckedRun) for _, runs in points for run in runs)
+
+
+@pytest.mark.parametrize("path", CALIBRATIONS, ids=lambda path: path.stem)
+def test_bounds_of_a_shipped_calibration_are_valid(path, tmp_path):
+    study = read_calibration(path)
+    assert estimate_trials(study, tmp_path / "out").scenes.keys() == study.scenes.keys()

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from granflow import Scene, SceneError, StageDeletion
+from granflow import StageDeletion
 from granflow.engine.selection import PresentParticles
 from granflow.simulation import Simulation
 from tests.scene_builders import build_scene, particle_group, plane
@@ -37,25 +37,6 @@ def test_regions_have_signed_distances(region, distance):
         found = PresentParticles.chosen(spheres, None, deletion.region, deletion.part)
         is_clear = np.abs(np.array(distance) - reach) > 1e-9
         assert (found == (np.array(distance) <= reach))[is_clear].all()
-
-
-@pytest.mark.parametrize(
-    ("stage", "delete", "sentence"),
-    [
-        (0, {"groups": ["balls"]}, "the first stage begins without particles; remove delete"),
-        (1, {"groups": ["bals"]}, "there is no such group of particles. Did you mean balls"),
-        (1, {}, "would delete all particles; give groups, a region or a fraction"),
-        (1, {"part": "any", "groups": ["balls"]}, "it requires a region; remove part"),
-        (1, {"fraction": 1.5}, "1.5"),
-    ],
-)
-def test_deletions_that_are_refused(stage, delete, sentence):
-    stages = [{"name": "a", "duration": 1.0}, {"name": "b", "duration": 1.0}]
-    stages[stage]["delete"] = delete
-    scene = build_scene({"balls": particle_group([[0.0, 0.0, 0.0]])}).to_dict() | {"stages": stages}
-    del scene["run"]["duration"]
-    with pytest.raises(SceneError, match=sentence):
-        Scene.from_dict(scene)
 
 
 def test_a_stage_deletes_particles_before_its_walls_appear():

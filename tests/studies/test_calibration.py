@@ -1,4 +1,4 @@
-"""Calibration with a program that replaces the runs: messages, search, targets and continuation."""
+"""Calibration with a program that replaces the runs: messages, search, targets, and continuation."""
 
 import errno
 import json
@@ -12,6 +12,7 @@ from granflow.cli.main import main
 from granflow.errors import FileError, GranflowError, OutputError
 from granflow.studies.calibration import trials
 from granflow.studies.calibration.calibrate import estimate_trials, read_calibration, run_calibration
+from granflow.studies.calibration.response import fit_response, is_identified
 from granflow.studies.calibration.schema import Target
 from granflow.studies.calibration.search import JOURNAL, Search
 from granflow.studies.checked_run import RunSettings
@@ -126,7 +127,7 @@ def test_search_ends_after_its_number_of_trials_at_the_optimum(tmp_path):
     assert (best.params["friction"], best.params["restitution"]) == pytest.approx((0.3, 0.6), abs=1e-6)
 
 
-def test_two_workers_find_planted_values_and_continue(tmp_path, stand_in):
+def test_two_workers_find_planted_values_and_continue(tmp_path, stand_in, monkeypatch):
     """Runs are replaced by e + mu and e mu with e = 0.62 and mu = 0.27; the solution e = 0.27 is out of
     bounds. Seeds 1 and 2 give mu + 0.1 and mu + 0.2: a mean of 0.42, with a standard error of 0.05."""
     pytest.importorskip("optuna")
@@ -138,6 +139,7 @@ search:"""
     path = written(
         tmp_path, ("from: 0.3", "from: 0.45"), ("1 mJ, tolerance: 10 uJ", "0.89, tolerance: 0.01"),
         ("search:", more), ("trials: 12", "trials: 16"),
+        ("spheres.yaml}", "spheres.yaml, set: {output.energy_budget: true}}"),
     )  # fmt: skip
     out = tmp_path / "out"
     study = read_calibration(path)
@@ -154,6 +156,7 @@ search:"""
     assert (out / "calibration.html").stat().st_size > 10_000
     assert f"friction: {friction!r}" in (out / "best.yaml").read_text()
     assert len((out / "starts.txt").read_text().splitlines()) == 2 * 16
+    monkeypatch.setattr("granflow.studies.calibration.calibrate.write_calibration_page", lambda *_: None)
     again = run_calibration(study, out, jobs=2, report=lines.append)
     assert len(lines) == 16 and again.parameters == result.parameters
 
@@ -177,6 +180,7 @@ def test_calibration_continues_after_a_full_disk_and_reports_conflicting_targets
         patch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
         with pytest.raises(OutputError, match="No space left on device"):
             run_calibration(study, tmp_path / "out", jobs=1)
+    monkeypatch.setattr("granflow.studies.calibration.calibrate.write_calibration_page", lambda *_: None)
     result = run_calibration(study, tmp_path / "out", jobs=1)
     assert not result.is_met
     (sentence,) = result.conflicts
@@ -239,3 +243,36 @@ def test_standard_error_of_seeds_is_the_larger_one_of_scatter_and_errors_of_the_
             (folders[-1] / "result.json").write_text(json.dumps({"metrics": {"left": angles}}))
         assert errors_of(folders, measured) == pytest.approx([expected / 3.0])
         assert errors_of(folders[:1], measured) == pytest.approx([error / 3.0])
+
+
+def deviations(u, residuals, error=0.0):
+    """Standard deviations at the best trial, and the parameters at the optimum of the fit."""
+    best = int(np.argmin((residuals**2).sum(axis=1)))
+    response = fit_response(u, residuals, best, np.full_like(residuals, error), highest=1)
+    return response.deviation(u[best]), response.optimum(u[best])
+
+
+def test_uncertainty_of_exact_linear_residuals():
+    """Residuals 20 (u - 0.3) and 5 (v - 0.6): standard deviations 1/sqrt(400 + 12) and 1/sqrt(25 + 12).
+
+    With standard errors of the runs of 40 tolerances, the residuals do not limit the uniform deviation 1/sqrt(12).
+    """
+    u = np.random.default_rng(1).uniform(size=(40, 2))
+    residuals = np.column_stack([20.0 * (u[:, 0] - 0.3), 5.0 * (u[:, 1] - 0.6)])
+    found, optimum = deviations(u, residuals)
+    assert found == pytest.approx([1 / np.sqrt(412.0), 1 / np.sqrt(37.0)], rel=1e-6)
+    assert optimum == pytest.approx([0.3, 0.6]) and is_identified(found[0])
+    (uncertain,), _ = deviations(u[:5, :1], 7.0 * (u[:5, :1] - 0.5), 4.0)
+    assert uncertain == pytest.approx(np.sqrt(1.0 / 12.0)) and not is_identified(uncertain)
+
+
+def test_parameters_of_a_sum_are_identified_only_together():
+    """One residual with scatter responds to u and v through their sum only, and not to w.
+
+    The sum is known: its direction has a vanishing variance, each of u and v keeps half of the uniform one.
+    """
+    random = np.random.default_rng(2)
+    u = random.uniform(size=(60, 3))
+    found, _ = deviations(u, 30.0 * (u[:, :1] + u[:, 1:2] - 1.0) + random.normal(0.0, 0.5, (60, 1)))
+    assert found == pytest.approx([np.sqrt(1 / 24), np.sqrt(1 / 24), np.sqrt(1 / 12)], rel=0.05)
+    assert not any(map(is_identified, found))

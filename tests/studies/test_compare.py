@@ -1,16 +1,21 @@
-"""`granflow compare` on two particles with one aborted run: tables against closed forms, page, messages."""
+"""`granflow compare`: tables of two particles against closed forms, statistics of beds, intervals of seeds."""
 
 import csv
 import shutil
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scene_builders import SOFT, build_scene, particle_group
+from scene_builders import SOFT, build_scene, particle_group, plane
+from scipy import stats
 
+from granflow.snapshot import Snapshot
 from granflow.studies.compare import report as reporting
 from granflow.studies.compare import runs
+from granflow.studies.compare.bed import FORCE_EDGES, BedHeights, ForceHistogram
 from granflow.studies.compare.collisions import assess_collisions, subject_of, sweep_columns, sweeps_of
+from granflow.studies.compare.differences import Estimate, difference_of
 from granflow.studies.compare.report import compare, draw_collisions, drawings, notes_on
 from granflow.studies.compare.runs import variants_of
 from granflow.studies.figures import Drawing, write_figures
@@ -208,3 +213,81 @@ def test_figures_are_written(found, columns, tmp_path):
     drawn = drawings(found[0].runs, None, {}) | {"collisions.png": collisions}
     assert not write_figures(tmp_path, drawn)
     assert {path.name for path in tmp_path.iterdir()} == set(drawn) and len(drawn) == 4
+
+
+def snapshot(particles, contacts):
+    return Snapshot(0.5, 0, "run", particles, contacts, {}, {})
+
+
+def test_forces_of_an_exponential_distribution():
+    """P = exp(-f/<f>): in a class from a to b the density is (exp(-a) - exp(-b)) / (b - a)."""
+    force = np.random.default_rng(2).exponential(5.0, 200_000)
+    forces = ForceHistogram()
+    forces.update(snapshot({}, {"id_j": np.ones(len(force)), "normal_force": force}))
+    low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
+    expected = (np.exp(-low) - np.exp(-high)) / (high - low)
+    sigma = np.sqrt(expected / (len(force) * (high - low)))
+    assert np.all(np.abs(forces.density("run") - expected) < 5.0 * sigma)
+    assert forces.share_above("run", 2.0) == pytest.approx(np.exp(-2.0), rel=0.02)
+
+
+def test_heights_are_opposite_to_gravity():
+    particles = {
+        "position": np.array([[1.0, 9.0, 9.0], [3.0, 0.0, 0.0]]), "mass": np.array([3.0, 1.0]),
+        "radius": np.array([0.5, 0.5]), "velocity": np.array([[3.0, 4.0, 0.0]] * 2),
+    }  # fmt: skip
+    heights = BedHeights.of(SimpleNamespace(usual_gravity=(-2.0, 0.0, 0.0)))
+    heights.update(snapshot(particles, {}))
+    assert heights.rows == [(0.5, 1.5, pytest.approx(1.5 + 0.95 * 2.0))]
+    assert heights.typical_speed == 5.0
+
+
+@pytest.mark.parametrize(("first", "other", "conclusion"), [
+    ([1.0, 1.01, 0.99], [2.0, 2.02, 1.98], "larger"), ([2.0, 2.02, 1.98], [1.0, 1.01, 0.99], "smaller"),
+    ([1.0, 1.2, 0.8], [1.02, 1.2, 0.85], "not distinguishable"), ([1.0, 1.0], [1.0, 1.0], "equal"),
+    ([1.0, 1.0], [1.1, 1.1], "larger"), ([-2.0, -2.1], [-1.0, -1.1], "larger"),
+])  # fmt: skip
+def test_conclusions(first, other, conclusion):
+    found = difference_of("x", "", ("a", "b"), Estimate.of(first), Estimate.of(other))
+    assert found.conclusion == conclusion
+    assert difference_of("x", "", ("a", "b"), Estimate.of(first[:1]), Estimate.of(other[:1])) is None
+
+
+def falling():
+    """Twelve particles at random places fall onto a plate, through a flow meter."""
+    region = {"box": {"min": [-0.05, -0.05, 0.02], "max": [0.05, 0.05, 0.06]}}
+    group = {"material": "glass", "count": 12, "diameter": 0.01, "insert": {"kind": "pack", "region": region}}
+    return build_scene(
+        {"beads": group}, walls={"floor": plane([0, 0, 0], [0, 0, 1])}, gravity=[0, 0, -9.81],
+        pair={"restitution": 0.5}, run={"duration": 0.12},
+        output={"timeseries_interval": 0.002, "interval": 0.02,
+                "flow_meters": {"below": {"point": [0, 0, 0.03], "normal": [0, 0, -1]}}},
+    )  # fmt: skip
+
+
+def rows(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_comparison_with_seeds_has_intervals_of_its_runs(taichi_f64, monkeypatch, tmp_path):
+    """Each interval is Welch's of the values in seeds.csv; the values of the summary are their means."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(reporting, "sweeps_of", lambda *_: [])
+    compare(falling(), ["hertz", "zhou"], tmp_path, seeds=2)
+    seeds = rows(tmp_path / "seeds.csv")
+    summary = {(row["quantity"], row["law"]): float(row["value"]) for row in rows(tmp_path / "compare.csv")}
+    differences = rows(tmp_path / "differences.csv")
+    assert {"center of mass", "surface"} <= {row["quantity"] for row in differences}
+    samples = {}
+    for each in seeds:
+        if each["value"] != "nan":
+            samples.setdefault((each["quantity"], each["law"]), []).append(float(each["value"]))
+    for row in differences:
+        hertz, zhou = (samples[row["quantity"], law] for law in ("hertz", "zhou"))
+        assert summary[row["quantity"], "zhou"] == pytest.approx(np.mean(zhou), rel=1e-12)
+        if np.ptp(hertz) > 0.0 or np.ptp(zhou) > 0.0:
+            interval = stats.ttest_ind(zhou, hertz, equal_var=False).confidence_interval()
+            assert (float(row["low"]), float(row["high"])) == pytest.approx(tuple(interval), rel=1e-9)
+    heights = samples["center of mass", "hertz"] + samples["center of mass", "zhou"]
+    assert len(set(heights)) == 4, "each seed is another packing"

@@ -1,14 +1,13 @@
-"""Given and simulated restitution: results of `granflow restitution` and warnings of `granflow run`."""
+"""Given and simulated restitution: `granflow restitution`, warnings of `granflow run`, and `granflow collide`."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane
 
 from granflow.cli.main import main
-from granflow.load import load_scene
+from granflow.errors import GranflowError
 from granflow.plan.build import plan_for
 from granflow.plan.restitution import (
     impact_of,
@@ -18,9 +17,9 @@ from granflow.plan.restitution import (
     restitution_warnings,
 )
 from granflow.simulation import Simulation
+from granflow.studies.collide import collide
 from granflow.studies.restitution import measure
 
-SCENES = Path(__file__).parents[2] / "scenes"
 STEEL = {"preset": "stainless_316"}
 FIT = {"sigma": 3.0432, "psi": 0.54, "limit_velocity": 340.3}
 
@@ -91,11 +90,6 @@ def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(tmp
     simulation.free()
 
 
-def test_shipped_scenes_have_no_warnings():
-    for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
-        assert restitution_warnings(plan_for(load_scene(path))) == [], path
-
-
 def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     path = tmp_path / "coarse.yaml"
     path.write_text(coarse_hertz().to_yaml(), encoding="utf-8")
@@ -118,3 +112,24 @@ def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitu
     impact = impact_of(plan, next(iter(pairings(plan))), 1.0)
     reached = [reference_restitution(plan, impact, plan.time_step, phase) for phase in np.arange(16) / 16]
     assert 100.0 * np.abs(np.array(reached) / restitution - 1.0).max() < largest
+
+
+BALLS = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}
+
+
+def test_dashpot_of_a_collision_that_begins_with_touching_surfaces_acts_from_the_first_contact(taichi_f64):
+    """Within 1 % with the default time step, 24 steps; without the first half step 5 % too high."""
+    assert collide("hertz", restitution=0.05, **BALLS)["restitution"] == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize(("law", "given", "sentence"), [
+    ("torton", {}, "Unknown contact model torton. Did you mean thornton?"),
+    ("thornton", {"restitution": 0.5}, "derives the restitution from the materials"),
+    ("thornton", {"material": "glass"}, "requires a yield strength, which glass lacks"),
+    ("hertz", {}, "requires a restitution coefficient"),
+    ("zhou", {"velocity": 1e30}, "the overlap would reach .* m, more than the radius"),
+    ("thornton", {"settings": ["yeld_ratio=1"]}, "is not a known key. Did you mean yield_ratio?")
+])  # fmt: skip
+def test_unsupported_input_of_a_contact_model_is_rejected(taichi_f64, law, given, sentence):
+    with pytest.raises(GranflowError, match=sentence):
+        collide(law, **(BALLS | given))

@@ -14,22 +14,24 @@ from studies.sweep_files import write_sweep
 
 import granflow as gf
 from granflow.cli.main import main
-from granflow.studies import run_process
+from granflow.studies import run_process, sweep
 from granflow.studies.run_pool import Workers
 from granflow.studies.sweep import read_sweep, run_sweep
 
-GRANFLOW = run_process.PROGRAM
+GRANFLOW, PAGE = run_process.PROGRAM, sweep.write_sweep_page
 STATUSES = ["done", "aborted", "expectation missed", "aborted", "refused", "refused"]
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """The current folder, with sweep.yaml, and `whole`, the directory of its uninterrupted execution."""
+    """The current folder, with sweep.yaml, and `whole`, the directory of its uninterrupted execution; without the
+    page, whose figures take longer than the runs."""
     folder = tmp_path_factory.mktemp("sweep")
     write_sweep(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(run_process, "PROGRAM", STAND_IN)
+        patch.setattr(sweep, "write_sweep_page", lambda *_: None)
         executed(folder / "whole", jobs=2)
         yield folder
 
@@ -117,8 +119,9 @@ DRIVER = f"""
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in background jobs, such as these tests
 from granflow.cli.main import main
-from granflow.studies import run_process
+from granflow.studies import run_process, sweep
 run_process.PROGRAM = {STAND_IN!r}
+sweep.write_sweep_page = lambda *_: None
 sys.exit(main(sys.argv[1:]))
 """
 """Program of a process with the command line, in which the stand-in replaces the runs."""
@@ -177,6 +180,7 @@ def test_sweep_from_python_with_real_runs(tmp_path, monkeypatch):
     """One run misses its expectation, the other one is aborted by the overlap limit."""
     pytest.importorskip("pandas")
     monkeypatch.setattr(run_process, "PROGRAM", GRANFLOW)
+    monkeypatch.setattr(sweep, "write_sweep_page", PAGE)
     vary = "{numerics.max_overlap: [0.1, 1e-6]}"
     text = f"scene: spheres.yaml\nset: {{pairs.steel-steel.restitution: 0.9}}\nvary: {vary}\nread: kinetic_energy\n"
     found = gf.sweep(write_sweep(tmp_path, text), out=tmp_path / "out", jobs=1)
