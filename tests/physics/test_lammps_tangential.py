@@ -38,7 +38,7 @@ def collide(case, velocity, spins, steps):
         pair={"restitution": RESTITUTION if damping else 1.0, "friction": case["friction"]},
         run={"duration": duration, "time_step": duration / steps, "velocity_max": float(np.linalg.norm(velocity))},
         contact={"normal": linear if name == "linear_history" else "hertz", "rolling": "none",
-                 "tangential": VARIANTS[name] | {"damping": damping or 1e-300}},
+                 "tangential": VARIANTS[name] | {"damping": damping or 1e-12}},
     )  # fmt: skip
     last, _ = run_to_end(scene)
     return np.concatenate([last.particles[key][:2] for key in ("velocity", "angular_velocity")], axis=1)

@@ -22,7 +22,10 @@ def scene_on(motion):
     walls = {"floor": plane([0, 0, 0], [0, 0, 1], motion={"kind": "table", **motion})}
     run = {"duration": 0.05, "velocity_max": 0.5}
     ball = particle_group([0, 0, RADIUS - 1e-7])
-    return few_spheres({"ball": ball}, walls, {"restitution": 0.0}, gravity=[0.0, 0.0, -GRAVITY], run=run)
+    output = {"interval": 1.0, "energy_budget": True, "wall_forces": True}
+    return few_spheres(
+        {"ball": ball}, walls, {"restitution": 0.0}, gravity=[0.0, 0.0, -GRAVITY], run=run, output=output
+    )
 
 
 def test_a_sphere_follows_a_lifted_floor(taichi_f64):

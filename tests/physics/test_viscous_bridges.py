@@ -22,19 +22,16 @@ STOPPING = 6.0 * math.pi * VISCOSITY * (0.5 * RADIUS) ** 2 / (0.5 * MASS)
 e."""
 STEP, OVERLAP = 1e-8, 1e-12
 """Time step [s], and overlap [m] at which the bridges form."""
-FILM = 1e-3
-"""Volume of the film over that of each particle, with capillary_transfer."""
+FILM = 0.02
+"""Volume of the film over that of each particle."""
 
 
-def wet_scene(groups, law="capillary", viscosity=VISCOSITY, **run):
+def wet_scene(groups, viscosity=VISCOSITY, **run):
     """A scene of elastic particles with bridges without surface tension."""
-    cohesion = {"law": law, "viscous_force": {"viscosity": viscosity, "min_separation_ratio": RATIO}}
+    viscous = {"viscosity": viscosity, "min_separation_ratio": RATIO}
+    cohesion = {"law": "capillary_transfer", "max_bridge_volume": 1e-11, "viscous_force": viscous}
     pair = {"restitution": 1.0, "surface_tension": 0.0, "contact_angle": 0.2}
-    if law == "capillary":
-        pair["liquid_volume"] = 1e-11
-    else:
-        cohesion["max_bridge_volume"] = 1e-11
-        groups = {name: group | {"liquid_content": FILM} for name, group in groups.items()}
+    groups = {name: group | {"liquid_content": FILM} for name, group in groups.items()}
     return build_scene(
         groups, None, pair,
         contact={"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": cohesion},
@@ -91,7 +88,7 @@ def test_force_and_torques_of_sliding_and_rolling_spheres(taichi_f64):
     that the sum of all torques and of the angular momentum of the forces is 0."""
     spin = np.array([[3.0, 10.0, -20.0], [-5.0, 7.0, 40.0]])
     groups = touching(2.2 * STOPPING, angular_velocity=spin)
-    simulation = Simulation(wet_scene(groups, "capillary_transfer", time_step=STEP))
+    simulation = Simulation(wet_scene(groups, time_step=STEP))
     simulation.step(20_000)
     simulation.particles.velocity = [[-0.02, 0.01, 0.03], [0.03, -0.02, 0.01]]
     simulation.step(20_000)
