@@ -1,7 +1,6 @@
 """Scenes built in Python: blocks, the constructor of scenes, and scenes that are written and read again."""
 
 import json
-import pickle
 from copy import deepcopy
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 import granflow as gf
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
-SHIPPED = sorted(path for path in SCENES.rglob("*.yaml") if path.parent.name not in ("sweeps", "calibration"))
 
 
 def blocks(**changes):
@@ -86,22 +84,6 @@ def test_blocks_and_scenes_are_validated_where_they_are_created():
     assert found[0].startswith("gravity is [0, 0], but ")
     keys = {each.partition(" is missing")[0] for each in found[1:]}
     assert keys == {f"walls.drum: walls.drum.{key}" for key in ("from", "to", "radius")}
-
-
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_shipped_scene_is_equal_after_saving_pickling_and_from_its_blocks(path, tmp_path):
-    scene = gf.load_scene(path)
-    parts = {
-        name: getattr(scene, name) for name in type(scene).model_fields if getattr(scene, name) is not None
-    }
-    assert gf.Scene(folder=path.parent, **parts) == scene
-    assert gf.Scene.from_dict(scene.to_dict(), scene.folder) == scene
-    again = pickle.loads(pickle.dumps(scene))
-    assert again == scene and (again.folder, again.path) == (scene.folder, scene.path)
-    for _, name in scene.input_names():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_bytes((path.parent / name).read_bytes())
-    assert gf.load_scene(scene.save(tmp_path / "again.yaml")) == scene
 
 
 def test_saving_refuses_a_folder_without_the_input_files(tmp_path):

@@ -1,31 +1,43 @@
-"""Runs read back from their directories, complete or not."""
+"""Runs read back from their directories, complete or not, and the metrics and fields that `analyze` computes."""
 
+import csv
+
+import meshio
 import numpy as np
 import pytest
 from scene_builders import box, build_scene, particle_group
 
 import granflow as gf
+from granflow.cli.main import main
 from granflow.io.log import run_log
 
-POSITIONS = 0.0098 * (np.argwhere(np.ones((3, 3, 3))) + 0.5)
+POSITIONS = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
+METRICS = {
+    "mix": {"kind": "lacey", "cell": 0.02, "at_least": 2, "groups": ["red"]}, "web": {"kind": "fabric"},
+    "bed": {"kind": "coordination"}, "heap": {"kind": "repose", "surface": "plane"}
+}  # fmt: skip
+FIELDS = {"bed": {"cells": [2, 2, 2], "region": {"min": [0.0] * 3, "max": [0.04] * 3}, "stages": ["last"]}}
 
 
 @pytest.fixture(scope="module")
 def reference(taichi_f64, tmp_path_factory):
-    """Directory of a run with contacts, wall forces, a flow meter, a metric and fields; its result and
-    snapshots."""
+    """Directory of a run of two groups in a box with contacts, wall forces, a flow meter, metrics and fields; its
+    result and snapshots."""
     path = tmp_path_factory.mktemp("run") / "out"
     random = np.random.default_rng(1)
+    groups = {
+        name: particle_group(POSITIONS[cut], 0.01, velocity=random.normal(0.0, 0.3, POSITIONS[cut].shape))
+        for name, cut in {"red": slice(0, 32), "blue": slice(32, 64)}.items()
+    }
     scene = build_scene(
-        {"beads": particle_group(POSITIONS, 0.01, velocity=random.normal(0.0, 0.3, POSITIONS.shape))},
-        walls=box(0.0294), gravity=[0.0, 0.0, -9.81], numerics={"max_overlap": 0.3}, run={"velocity_max": 2.0},
+        groups, walls=box(0.0392), pair={"friction": 0.4}, gravity=[0.0, 0.0, -9.81],
+        numerics={"max_overlap": 0.3}, run={"velocity_max": 2.0},
         stages=[{"name": "first", "duration": 0.001}, {"name": "last", "duration": 0.002}],
         output={
-            "interval": 0.001, "contacts": True, "wall_forces": ["low_z"], "fields": {"bed": {"cells": [2, 2, 2]}},
-            "flow_meters": {"middle": {"point": [0, 0, 0.015], "normal": [0, 0, 1]}},
-            "metrics": {"bed": {"kind": "coordination"}},
+            "interval": 0.001, "contacts": True, "wall_forces": ["low_z"], "fields": FIELDS, "metrics": METRICS,
+            "flow_meters": {"middle": {"point": [0, 0, 0.02], "normal": [0, 0, 1]}},
         },
-        expect=[{"quantity": "particle_count", "equals": 27, "tolerance": 0}],
+        expect=[{"quantity": "particle_count", "equals": 64, "tolerance": 0}],
     )  # fmt: skip
     snapshots = []
     wants = ("particles", "totals", "contacts")
@@ -50,7 +62,7 @@ def test_numbers_equal_those_of_the_run(run, reference):
     assert series["stage"].tolist() == [each.stage for each in snapshots]
     assert series.units["kinetic_energy"] == "J" and series.units["time"] == "s"
     for each in (run, run.result, run.snapshot(0)):
-        assert "27" in repr(each) + each._repr_html_() and len(repr(each)) < 400
+        assert "64" in repr(each) + each._repr_html_() and len(repr(each)) < 400
 
 
 def test_frames_equal_the_snapshots(run, reference):
@@ -84,6 +96,34 @@ def test_observers_have_tables_and_the_time_series_is_a_data_frame(run):
     table = run.timeseries
     assert isinstance(table, pandas.DataFrame) and table.attrs["units"]["kinetic_energy"] == "J"
     assert table["kinetic_energy"].tolist() == whole["kinetic_energy"].tolist()
+
+
+def rows_of(path):
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_analyzed_metrics_and_fields_equal_those_of_the_run(reference, tmp_path, capsys):
+    """Equal within the seven digits of the frames."""
+    out = reference[0]
+    assert main(["analyze", str(out), "--out", str(tmp_path)]) == 0
+    measured, series = (rows_of(path) for path in (tmp_path / "metrics.csv", out / "timeseries.csv"))
+    assert len(measured) == len(series) >= 4
+    assert len(measured[0]) == 2 + 1 + 4 + 4 + 2
+    for one, other in zip(measured, series, strict=True):
+        assert one.pop("stage") == other["stage"]
+        for name, value in one.items():
+            expected = pytest.approx(float(other[name]), rel=1e-4, abs=1e-6, nan_ok=True)
+            assert float(value) == expected, name
+    names = sorted(path.name for path in out.glob("fields_*.vtu"))
+    assert names == sorted(path.name for path in tmp_path.glob("fields_*.vtu"))
+    for name in ("fields_bed_mean.vtu", names[0]):
+        one, other = (meshio.read(folder / name).cell_data for folder in (tmp_path, out))
+        for field, (values,) in other.items():
+            tolerance = 1e-5 * np.nanmax(np.abs(values))
+            np.testing.assert_allclose(one[field][0], values, rtol=1e-4, atol=tolerance)
+    assert main(["analyze", str(out), "--set", "output.metrics={}", "--set", "output.fields={}"]) == 2
+    assert "Nothing to analyze" in capsys.readouterr().err
 
 
 def test_unfinished_and_aborted_runs_are_readable(tmp_path):

@@ -56,7 +56,7 @@ def in_units(options, units):
 
 SI = Units()
 MODULUS, SHEAR_MODULUS = 4e7, 1.2e7
-RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
+RADIUS, MASS, TIME_STEP = 0.01, 0.01, 1e-5
 """A soft particle of radius 1 cm; its maximum overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
 YIELD_STRENGTH = 1e6
 """With this maximum contact pressure [Pa], a Hertz contact yields at an overlap of 15 micrometers."""

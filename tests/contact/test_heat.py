@@ -52,9 +52,13 @@ def line(y, temperatures, left, right, materials=None):
     materials = materials or ["sphere"] * count
     groups = {
         f"line_{y}_{k}": particle_group(
-            [[END + k * SPACING, 0.03 * y, 0.0]], 2.0 * RADIUS, materials[k], temperature=temperatures[k]
+            [[END + k * SPACING, 0.03 * y, 0.0]],
+            2.0 * RADIUS,
+            materials[k],
+            temperature=each,
+            heat_source=0.0,
         )
-        for k in range(count)
+        for k, each in enumerate(temperatures)
     }
     end = 2.0 * END + (count - 1) * SPACING
     sides = [[0, 2 * RADIUS, 0], [0, 0, 2 * RADIUS]]
@@ -371,6 +375,10 @@ def test_particles_of_a_hot_wall_keep_its_temperature_and_their_heat_is_that_of_
             lost += ended_contacts_dissipation(simulation.engine.state)
             gained = totals["heat_content"] - start["heat_content"]
             assert gained == pytest.approx(lost + totals["wall_heat.plate"] + totals["source_heat"], rel=1e-8)
+            for name in ("position", "velocity", "angular_velocity", "mass", "force"):  # of clumps, too
+                np.testing.assert_array_equal(
+                    getattr(simulation.particles, name)[:], found.particles[name], name
+                )
         with pytest.raises(
             GranflowError, match="particle 3 is attached to a wall and has its temperature, 400"
         ):
@@ -451,22 +459,6 @@ def test_a_setting_without_particles_is_a_warning(caplog):
     with Simulation(stages_scene([{"temperature": "20 K", "region": half}]), threads=2) as simulation:
         simulation.step(1)
     assert "none of the 14 particles is in the groups and the region" in caplog.text
-
-
-def test_temperatures_require_heat():
-    """In fields, and in the particles of a program."""
-    scene = lines_scene().to_dict()
-    del scene["contact"]["heat"], scene["walls"]["plate_3_right"]["heat_flux"]
-    for part in (*scene["walls"].values(), *scene["particles"].values()):
-        part.pop("temperature", None)
-    with (
-        Simulation(Scene.from_dict(scene), threads=2) as simulation,
-        pytest.raises(GranflowError, match="particles.temperature: the particles have none"),
-    ):
-        simulation.particles.temperature[0] = 1.0
-    scene["output"]["fields"] = {"bed": {"cell": 0.01, "quantities": ["temperature"]}}
-    with pytest.raises(SceneError, match="particles have no temperature: contact.heat is none"):
-        Scene.from_dict(scene)
 
 
 GAS = {"conductivity": 0.95, "min_gap": 1e-6}

@@ -2,7 +2,7 @@
 
 import json
 import re
-from math import exp, pi, sqrt
+from math import exp, hypot, log, pi, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,7 @@ from granflow.importing.convert import convert
 from granflow.importing.materials import LEAST_RESTITUTION
 from granflow.units import to_si
 
+GUIDES = Path(__file__).resolve().parents[2] / "docs/pages/guides"
 SPEED = "fix m5 all property/global characteristicVelocity scalar 2"
 STIFFER = pairwise(
     coefficientMaxElasticStiffness=4, coefficientAdhesionStiffness=0.2, coefficientPlasticityDepth=0.1
@@ -195,14 +196,26 @@ def test_linear_spring_on_a_chute(tmp_path):
 
 
 def test_integrated_collisions():
-    """Tsuji's dashpot in LAMMPS, as in the guide. A linear spring with 2 zeta has a closed form. A plastic spring
-    below its limit loads with k1 = 1 to the overlap u and unloads with k2 = 1 + (r - 1) u: e = 1/sqrt(k2)."""
-    assert free_restitution(tsuji(0.9) / sqrt(5), False) == pytest.approx(0.928, abs=5e-4)
-    assert free_restitution(tsuji(0.8593) / sqrt(5), True) == pytest.approx(0.9, abs=5e-4)
+    """A linear spring with 2 zeta has a closed form. A plastic spring below its limit loads with k1 = 1 to the
+    overlap u and unloads with k2 = 1 + (r - 1) u: e = 1/sqrt(k2)."""
     for limited in (True, False):
         assert collision(1.0, 0.4, 0.0, limited) == pytest.approx(free_restitution(0.2, limited), abs=1e-3)
     for speed in (0.2, 0.9):
         assert plastic_collision(speed, 3.0, 0.0) == pytest.approx(1 / sqrt(1 + 2 * speed), abs=2e-3)
+
+
+def test_numbers_to_enter_in_other_codes_give_the_restitution_of_the_guide():
+    """In LIGGGHTS, with the result of entering e with limitForce, and in LAMMPS by the polynomial of Tsuji."""
+    guide = (GUIDES / "other_codes.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ((?:0\.\d+ ?\|? ?){6})\|$", guide, re.MULTILINE)
+    table = [[float(cell) for cell in row.split("|")] for row in rows]
+    assert [row[0] for row in table] == [0.3, 0.5, 0.7, 0.8, 0.9, 0.95]
+    for e, _, in_liggghts, limited, *in_lammps in table:
+        zeta = -log(in_liggghts) / hypot(log(in_liggghts), pi)
+        assert free_restitution(zeta, False) == pytest.approx(e, abs=1e-5)
+        assert free_restitution(zeta, True) == pytest.approx(limited, abs=6e-4)
+        for entered, has_limit in zip(in_lammps, (False, True), strict=True):
+            assert free_restitution(tsuji(entered) / sqrt(5), has_limit) == pytest.approx(e, abs=1e-4)
 
 
 def test_each_size_has_its_restitution_if_the_model_depends_on_it(tmp_path):
@@ -697,7 +710,7 @@ def test_command(tmp_path, capsys):
 
 def test_guide(tmp_path):
     """The scene of the guide is that of its script."""
-    text = (Path(__file__).resolve().parents[2] / "docs/pages/guides/import.md").read_text(encoding="utf-8")
+    text = (GUIDES / "import.md").read_text(encoding="utf-8")
     blocks = dict(re.findall(r"^```\w+\n# (\S+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
     (tmp_path / "in.bed").write_text(f"# in.bed\n{blocks['in.bed']}")
     assert convert(tmp_path / "in.bed").text == blocks["bed.yaml"]

@@ -1,4 +1,4 @@
-"""Runs shorter than a step, too long, or with a step that does not advance the time are rejected."""
+"""Runs that are too short or too long, or whose step or precision does not resolve times or positions."""
 
 import pytest
 from scene_builders import build_scene, particle_group
@@ -61,3 +61,21 @@ def test_skin_above_twenty_radii_is_rejected():
     plan_for(scene(numerics={"skin": 0.0999}))
     with pytest.raises(SceneError, match="skin is 0.101 m, more than 20 times the smallest radius 0.005 m"):
         plan_for(scene(numerics={"skin": 0.101}))
+
+
+def planned(edge, precision, on_exit):
+    domain = {"min": [0.0] * 3, "max": [0.1, 0.1, edge], "on_exit": on_exit}
+    run = {"duration": 0.1, "precision": precision}
+    return plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, domain=domain, run=run))
+
+
+@pytest.mark.parametrize(("precision", "edge", "on_exit", "advice"), [
+    ("f32", 2.0**13, "error", "Use --precision mixed"), ("f32", 2.0**13, "expand", "Use --precision mixed"),
+    ("mixed", 2.0**42, "error", "Move the scene closer"),
+])  # fmt: skip
+def test_spacing_above_a_tenth_of_the_smallest_radius_is_rejected(precision, edge, on_exit, advice):
+    """The radius is 5 mm. The spacing is 2^(12 - 23) = 2^(41 - 52) = 0.49 mm up to the edge [m], and 0.98 mm
+    beyond."""
+    planned(edge, precision, on_exit)
+    with pytest.raises(SceneError, match=f"resolves positions only to 0.000977 m .*{advice}"):
+        planned(1.001 * edge, precision, on_exit)

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from api.scenes import flying
 from pydantic import Field
-from scene_builders import SOFT
 
 import granflow as gf
 from granflow.fields import Quantity
@@ -45,16 +45,9 @@ def registered():
 
 def falling_beads(metrics, expect=()):
     """Two beads at rest at the heights 0.1 m and 0.2 m that fall freely for 10 ms."""
-    insertion = {"kind": "positions", "positions": [[0.0, 0.0, 0.1], [0.05, 0.0, 0.2]]}
-    return gf.Scene.from_dict({
-        "title": "Falling beads", "gravity": [0.0, 0.0, -10.0],
-        "domain": {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 0.3], "on_exit": "error"},
-        "materials": {"glass": SOFT}, "pairs": {"glass-glass": {"restitution": 0.8, "friction": 0.0}},
-        "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none"},
-        "particles": {"beads": {"material": "glass", "diameter": 0.01, "insert": insertion}},
-        "run": {"duration": 0.01, "precision": "f64"}, "output": {"interval": 0.005, "metrics": metrics},
-        "expect": list(expect)
-    })  # fmt: skip
+    output = {"interval": 0.005, "energy_budget": True, "metrics": metrics}
+    positions = [[0.0, 0.0, 0.1], [0.05, 0.0, 0.2]]
+    return flying(positions, [0.0] * 3, gravity=[0.0, 0.0, -10.0], output=output, expect=list(expect))
 
 
 def test_a_registered_metric_is_written_and_evaluated(registered, tmp_path, taichi_f64):
