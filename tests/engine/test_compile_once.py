@@ -18,7 +18,7 @@ from granflow.simulation import Simulation
 BASE = {
     "count": 60, "diameter": 0.004, "floor": 0.0, "friction": 0.4, "young_modulus": 1e8, "gravity": -9.81, "high": 0.05,
     "skin": "auto", "max_overlap": 0.3, "outlet": 0.0, "rate": 20.0, "mass": 0.1, "threads": 1,
-    "rest_damping": 0.1, "free": True,
+    "rest_damping": 0.1, "free": True, "precision": "f64",
 }  # fmt: skip
 
 CHANGES = {
@@ -26,6 +26,9 @@ CHANGES = {
     "high": 0.06, "skin": 4e-4, "max_overlap": 0.2, "outlet": -0.002, "rate": 30.0, "mass": 0.2, "threads": 2,
     "rest_damping": 0.05,
 }  # fmt: skip
+
+SMALL = {"threads": 1, "free": True, "precision": "f64"}
+"""Settings of a run of the other scene."""
 
 
 def scene_of(case):
@@ -51,77 +54,51 @@ def scene_of(case):
     )  # fmt: skip
 
 
+def oblique_collisions():
+    """Three particles without walls: a scene of another structure."""
+    positions = [[0.0, 0.0, 0.0], [0.0099, 0.002, 0.0], [0.0, 0.0099, 0.001]]
+    velocity = [[1.0, 0.0, 0.0], [-1.0, 0.2, 0.0], [0.0, -1.0, 0.3]]
+    beads = particle_group(positions, 0.01, velocity=velocity)
+    return build_scene({"beads": beads}, pair={"friction": 0.4}, run={"duration": 2e-4})
+
+
 def digest_of(case):
     """Digest of all totals, particles and contacts at the end of a run."""
-    simulation = Simulation(scene_of(case), threads=case["threads"])
+    if case.get("by_kernels"):  # they copy and clear the fields from then on, as on a GPU
+        field_block.host_block = lambda fields, on_cpu: None
+    scene = scene_of(case) if "count" in case else oblique_collisions()
+    simulation = Simulation(scene, precision=case["precision"], threads=case["threads"])
     simulation.run()
     snapshot = simulation.snapshot(contacts=True)
+    assert simulation.engine.state.backend.precision == case["precision"]
     if case["free"]:
         simulation.free()
+        with pytest.raises(GranflowError, match="has been freed"):
+            simulation.engine.state.particles.position.to_numpy()
     arrays = [*snapshot.particles.values(), *snapshot.contacts.values()]
     totals = repr(sorted(snapshot.totals.items())).encode()
     return sha256(totals + b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 
-def digests_with_cache(folder, cases, by_kernels=False):
-    """Digests of cases that run one after the other in this process, and the number of states that remain.
-
-    by_kernels:  kernels copy and clear the fields, as on a GPU
-    """
+def runs_with_cache(folder, cases):
+    """Cases that run one after the other in this process: digest, number of kept states and of kernels on disk
+    after each. Taichi writes kernels when it stops."""
     os.environ["GRANFLOW_CACHE"] = folder
-    if by_kernels:
-        field_block.host_block = lambda fields, on_cpu: None
-    return [digest_of(case) for case in cases], len(state_cache._kept)
+    return [
+        (digest_of(case), len(state_cache._kept), len(list(Path(folder).glob(KERNELS)))) for case in cases
+    ]
 
 
-def test_changed_numbers_compile_no_kernel_and_runs_in_one_process_share_arrays(tmp_path):
+def test_changed_numbers_and_alternating_structures_compile_no_kernel_twice_and_keep_their_bits(tmp_path):
     """Also if a simulation is not freed, but deleted, and if kernels copy the fields, as on a GPU."""
     folder = str(tmp_path)
     other = BASE | CHANGES | {"free": False}
-    (alone,), _ = in_subprocess(digests_with_cache, folder, [other])
-    kernels = set(tmp_path.glob(KERNELS))
-    cases = [BASE, other | {"threads": 1}, BASE]
-    digests, state_count = in_subprocess(digests_with_cache, folder, cases)
-    base = digests[0]
-    assert kernels and digests == [base, alone, base] and base != alone
-    assert state_count == 1 and set(tmp_path.glob(KERNELS)) == kernels
-    assert in_subprocess(digests_with_cache, folder, cases[:2], True)[0] == digests[:2]
-
-
-def run_of(friction, precision, threads):
-    """Digest of the positions and velocities after oblique collisions, for which friction needs further fields."""
-    positions = [[0.0, 0.0, 0.0], [0.0099, 0.002, 0.0], [0.0, 0.0099, 0.001]]
-    velocity = [[1.0, 0.0, 0.0], [-1.0, 0.2, 0.0], [0.0, -1.0, 0.3]]
-    beads = particle_group(positions, 0.01, velocity=velocity)
-    scene = build_scene({"beads": beads}, pair={"friction": friction}, run={"duration": 2e-4})
-    simulation = Simulation(scene, precision=precision, threads=threads)
-    simulation.run()
-    particles = simulation.snapshot().particles
-    assert simulation.engine.state.backend.precision == precision
-    simulation.free()
-    with pytest.raises(GranflowError, match="has been freed"):
-        simulation.engine.state.particles.position.to_numpy()
-    return sha256(particles["position"].tobytes() + particles["velocity"].tobytes()).hexdigest()
-
-
-def alternating(folder):
-    """Digests of runs of alternating structures and settings, and kernels in the cache after each.
-
-    Taichi writes them when it stops.
-    """
-    os.environ["GRANFLOW_CACHE"] = folder
-    settings = [
-        (0.0, "f64", 1),
-        (0.4, "f64", 1),
-        (0.0, "f64", 1),
-        (0.4, "f64", 1),
-        (0.0, "f32", 2),
-        (0.0, "f64", 2),
-    ]
-    return [(run_of(*each), len(list(Path(folder).glob(KERNELS)))) for each in settings]
-
-
-def test_alternating_structures_and_settings_are_compiled_once_and_keep_their_bits(tmp_path):
-    digests, counts = zip(*in_subprocess(alternating, str(tmp_path)), strict=True)
-    assert digests[0] == digests[2] == digests[5] != digests[1] == digests[3]
-    assert 0 < counts[1] < counts[2] == counts[3] == counts[4] and digests[4] not in digests[:4]
+    (alone, *_), (base, *_) = in_subprocess(runs_with_cache, folder, [other, BASE | {"by_kernels": True}])
+    kernel_count = len(list(tmp_path.glob(KERNELS)))
+    settings = {"precision": "f32", "threads": 2}, {"threads": 2}
+    cases = [BASE, other | {"threads": 1}, BASE, SMALL, BASE, SMALL, *(SMALL | each for each in settings)]
+    digests, states, counts = zip(*in_subprocess(runs_with_cache, folder, cases), strict=True)
+    small, single = digests[3], digests[6]
+    assert digests == (base, alone, base, small, base, small, single, small)
+    assert len({base, alone, small, single}) == 4 and states[2] == 1
+    assert 0 < counts[0] == counts[3] == kernel_count < counts[4] == counts[6] < counts[7]

@@ -60,29 +60,6 @@ def test_contact_forces_and_weight_add_up_to_the_particle_force(taichi_f64):
     np.testing.assert_allclose(across, contacts["tangential_force"], rtol=0, atol=1e-12 * along.max())
 
 
-def test_statistics_of_pairs_and_of_a_chain_between_walls(taichi_f64):
-    """Overlaps are relative to the smaller radius, also if it is that of the second particle; walls are no
-    part of the coordination number."""
-    at = [[0.0148, 0.0, 0.1], [0.0148, 0.0119, 0.1], [0.0148, 0.0, 0.2], [0.0148, 0.0119, 0.2]]
-    groups = {
-        "pairs": particle_group(at, [0.004, 0.02, 0.02, 0.004]),
-        "chain": particle_group([[0.00495, 0, 0], [0.0148, 0, 0], [0.02465, 0, 0]], 0.01),
-    }
-    walls = {"left": plane([0, 0, 0], [1, 0, 0]), "right": plane([0.0296, 0, 0], [-1, 0, 0])}
-    last, _ = run_to_end(build_scene(groups, walls, run={"duration": 1e-6, "time_step": 1e-6}))
-    found, totals, position = last.particles, last.totals, last.particles["position"]
-    pairs = [(0.012 - np.linalg.norm(position[k] - position[k + 1])) / 0.002 for k in (0, 2)]
-    chain = [(0.01 - np.linalg.norm(position[k] - position[k + 1])) / 0.005 for k in (4, 5)]
-    at_walls = (0.005 - np.array([position[4, 0], 0.0296 - position[6, 0]])) / 0.005
-    assert min(pairs) > 0.04 > max(chain)
-    assert totals["overlap_largest"] == pytest.approx(max(pairs), rel=1e-12)
-    assert totals["overlap_mean"] == pytest.approx(np.mean([*pairs, *chain, *at_walls]), rel=1e-12)
-    assert (totals["contact_count"], totals["wall_contact_count"]) == (6.0, 2.0)
-    assert totals["coordination_number"] == pytest.approx(8 / 7)
-    assert found["coordination_number"].tolist() == [1, 1, 1, 1, 1, 2, 1]
-    assert found["wall_contact_count"].tolist() == [0, 0, 0, 0, 1, 0, 1]
-
-
 MASS = 4.0 / 3.0 * np.pi * 0.005**3 * 2500.0
 CLASSES = {"min": 1e-9, "max": 1e-2, "classes": 14}
 EDGES = 1e-9 * 10.0 ** (0.5 * np.arange(15))
@@ -108,6 +85,29 @@ def counting(groups, walls=None, interval=1.0, duration=1.0, **parts):
         "output": {"interval": interval, "collision_energies": CLASSES},
     }
     return build_scene(groups | far, walls, **(defaults | parts))
+
+
+def test_statistics_of_pairs_and_of_a_chain_between_walls(taichi_f64):
+    """Overlaps are relative to the smaller radius, also if it is that of the second particle; walls are no
+    part of the coordination number, which is that of mobile particles."""
+    at = [[0.1, 0.0, 0.0148], [0.1, 0.0138, 0.0148], [0.2, 0.0, 0.0148], [0.2, 0.0138, 0.0148]]
+    groups = {
+        "pairs": particle_group(at, [0.008, 0.02, 0.02, 0.008]),
+        "chain": particle_group([[0, 0, 0.00495], [0, 0, 0.0148], [0, 0, 0.02465]], 0.01),
+    }
+    walls = FLOOR | {"lid": plane([0, 0, 0.0296], [0, 0, -1])}
+    last, _ = run_to_end(counting(groups, walls, run={"duration": 1e-6, "time_step": 1e-6}))
+    found, totals, position = last.particles, last.totals, last.particles["position"]
+    pairs = [(0.014 - np.linalg.norm(position[k] - position[k + 1])) / 0.004 for k in (0, 2)]
+    chain = [(0.01 - np.linalg.norm(position[k] - position[k + 1])) / 0.005 for k in (4, 5)]
+    at_walls = (0.005 - np.array([position[4, 2], 0.0296 - position[6, 2]])) / 0.005
+    assert min(pairs) > 0.04 > max(chain)
+    assert totals["overlap_largest"] == pytest.approx(max(pairs), rel=1e-12)
+    assert totals["overlap_mean"] == pytest.approx(np.mean([*pairs, *chain, *at_walls]), rel=1e-12)
+    assert (totals["contact_count"], totals["wall_contact_count"]) == (6.0, 2.0)
+    assert totals["coordination_number"] == pytest.approx(8 / 7)
+    assert found["coordination_number"].tolist() == [1, 1, 1, 1, 1, 2, 1, 0, 0]
+    assert found["wall_contact_count"].tolist() == [0, 0, 0, 0, 1, 0, 1, 0, 0]
 
 
 def test_single_impacts_have_the_energies_of_their_effective_masses(taichi_f64):

@@ -52,18 +52,26 @@ def test_sums_on_the_host_are_exact_in_any_order():
 def test_forces_above_the_range_of_the_sums_abort_the_run_but_not_a_large_weight(taichi_f64, monkeypatch):
     """A sphere of 10 cm weighs 13 N; the largest force of a contact with one of 0.1 mm is below 10 mN.
 
-    Sums are exact up to 2^50 units. With 2^70 instead of FORCE_BITS, that is 1e-6 of the largest force.
+    Sums are exact up to 2^50 units. With 2^80 instead of FORCE_BITS, that is 1e-9 of the largest force. The first
+    small sphere reaches the large one after 10 us.
     """
-    run = {"duration": 2e-6, "velocity_max": 0.2}
-    small = particle_group([[0.0, 0.0, 0.2], [0.0, 0.0, 0.3]], 1e-4)
-    groups = {"large": particle_group([[0.0, 0.0, 0.0]], 0.1), "small": small}
-    scene = build_scene(groups, gravity=[0.0, 0.0, -9.81], run=run)
-    assert plan_for(scene).sum_units.largest_force > 30.0 * 13.0
-    last, _ = run_to_end(scene)
-    np.testing.assert_allclose(last.particles["velocity"][:, 2], -9.81 * last.time, rtol=1e-12)
-    monkeypatch.setattr(sum_units, "FORCE_BITS", 70)
-    colliding = particle_group(
-        [[0.0, 0.0, 0.0], [0.0101, 0.0, 0.0]], [0.01, 0.0099], velocity=[[1, 0, 0], [0, 0, 0]]
-    )
-    with pytest.raises(RunError, match=r"the contact force on particle 0 \(glass, .* is above .* N"):
-        run_to_end(build_scene({"pair": colliding}, run={"duration": 0.001}))
+
+    def scene(duration, gravity):
+        small = particle_group([[0, 0, 0.05006], [0, 0, 0.3]], 1e-4, velocity=[[0, 0, -1.0], [0, 0, 0]])
+        groups = {"small": small, "large": particle_group([[0.0, 0.0, 0.0]], 0.1)}
+        run = {"duration": duration, "velocity_max": 1.0}
+        domain = {
+            "min": [-1.0] * 3,
+            "max": [1.0] * 3,
+            "on_exit": "expand",
+        }  # the structure of `test_neighbor_list`
+        return build_scene(groups, gravity=[0.0, 0.0, gravity], run=run, domain=domain)
+
+    falling = scene(2e-6, -9.81)
+    assert plan_for(falling).sum_units.largest_force > 30.0 * 13.0
+    last, _ = run_to_end(falling)
+    expected = np.array([-1.0, 0.0, 0.0]) - 9.81 * last.time
+    np.testing.assert_allclose(last.particles["velocity"][:, 2], expected, rtol=1e-12)
+    monkeypatch.setattr(sum_units, "FORCE_BITS", 80)
+    with pytest.raises(RunError, match=r"the contact force on particle \d \(glass, .* is above .* N"):
+        run_to_end(scene(1e-4, 0.0))

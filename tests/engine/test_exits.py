@@ -16,7 +16,8 @@ HOLE = {"hole": {"box": {"min": [-0.02, -0.02, -0.02], "max": [0.02, 0.02, -0.01
 def scene(aside=2, outlets=None, meter=None):
     """Three particles at the height 0 fall; the others at 5 cm fly 10 cm along x in 45 ms and fall 10 mm."""
     at = [[0.012 * k - 0.012, 0.0, 0.0] for k in range(3)]
-    groups = {"falling": particle_group(at, velocity=[0.0, 0.0, -1.0])}
+    diameters = [0.01, 0.01, 0.0099]  # the structure of scenes without output whose diameters differ
+    groups = {"falling": particle_group(at, diameters, velocity=[0.0, 0.0, -1.0])}
     if aside:
         groups["flying"] = particle_group([[x, 0.0, 0.05] for x, *_ in at[:2]], velocity=[2.5, 0.0, 0.0])
     sides = [[0.0, 0.2, 0.0], [0.0, 0.0, 0.12]]
