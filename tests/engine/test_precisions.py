@@ -1,4 +1,4 @@
-"""What depends on the precision, and the limits on the code path of a GPU: one process for each of them."""
+"""What depends on the precision, and the limits on the code path of a GPU, in one other process."""
 
 import numpy as np
 import pytest
@@ -74,21 +74,6 @@ def pressures_of_a_box(precision):
     return of_axes(last, "box_pressure").tolist(), expected.tolist()
 
 
-def mixed_precision():
-    found = messages_about_the_limit("mixed", 16), kinds_of_warnings_at_rest("mixed")
-    return *found, drifting_rod(), pressure_of_a_servo(), pressures_of_a_box("mixed")
-
-
-def test_mixed_precision():
-    """The rod moves by 2^-16 m per step, which f64 adds without error; f32 resolves 0.1 m to 7.5e-9 m."""
-    (below, above), warnings, (distance, time, rebuilds), pressure, box = in_subprocess(mixed_precision)
-    assert below == "" and "moves 0.001 m in one step" in above
-    assert warnings == [], "rounding of potential energies is no error"
-    assert rebuilds > 10 and distance == pytest.approx(time, abs=1e-12)
-    assert pressure == pytest.approx(PRESSURE, rel=0.01)
-    np.testing.assert_allclose(*box, rtol=1e-5)
-
-
 def flight(height):
     """Message of the abort, or an empty string; a particle flies 4 m from `height` [m] and leaves an
     expanding domain.
@@ -101,21 +86,34 @@ def flight(height):
     return abort_message(build_scene({"ball": ball}, domain=domain, run=run, numerics={"chunk_size": 16}))
 
 
-def single_precision_and_gpu_code_path():
+def runs():
+    """Results in mixed precision, and in single precision, the last two of them on the code path of a GPU."""
+    mixed = (
+        messages_about_the_limit("mixed", 16), kinds_of_warnings_at_rest("mixed"), drifting_rod(),
+        pressure_of_a_servo(), pressures_of_a_box("mixed"),
+    )  # fmt: skip
     expanding = {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "expand"}  # the structure of `flight`
-    found = kinds_of_warnings_at_rest("f32", domain=expanding), flight(8186.0), flight(8191.0)
+    single = kinds_of_warnings_at_rest("f32", domain=expanding), flight(8186.0), flight(8191.0)
     backend.Backend.on_cpu = property(lambda self: False)
-    return *found, messages_about_the_limit("f32", 1), pressures_of_a_box("f32")
+    return mixed, (*single, messages_about_the_limit("f32", 1), pressures_of_a_box("f32"))
 
 
-def test_single_precision_and_the_code_path_of_a_gpu():
-    """f32 resolves 0.03 m to 1.9e-9 m, of which an overlap of 40 um is a sum of two."""
-    warnings, near, far, (below, above), box = in_subprocess(single_precision_and_gpu_code_path)
+def test_mixed_precision_and_single_precision_on_the_code_path_of_a_gpu():
+    """The rod moves by 2^-16 m per step, which f64 adds without error; f32 resolves 0.1 m to 7.5e-9 m and 0.03 m to
+    1.9e-9 m, of which an overlap of 40 um is a sum of two."""
+    mixed, single = in_subprocess(runs)
+    (below, above), warnings, (distance, time, rebuilds), pressure, box = mixed
+    assert below == "" and "moves 0.001 m in one step" in above
+    assert warnings == [], "rounding of potential energies is no error"
+    assert rebuilds > 10 and distance == pytest.approx(time, abs=1e-12)
+    assert pressure == pytest.approx(PRESSURE, rel=0.01)
+    np.testing.assert_allclose(*box, rtol=1e-5)
+    warnings, near, far, (below, above), box = single
     np.testing.assert_allclose(*box, rtol=1.5 * 2.0 * 1.9e-9 / 4e-5)
     assert warnings == [] and near == "" and below == ""
     assert "moves 0.001 m in one step" in above
-    assert (
-        "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest "
-        "radius 0.005 m" in far
+    resolution = (
+        "f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest radius"
     )
+    assert f"where {resolution} 0.005 m" in far
     assert "particle 0 (glass, 400 m/s)" in far and "Use --precision mixed" in far
