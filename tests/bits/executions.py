@@ -43,7 +43,7 @@ FOR_CHANGE = ("one", "two", "lists", RESUMED[-1], "pool")
 USUAL = {
     "walls": ("one", "begun", "resumed_4"),
     "clumps": ("one", "begun", "resumed_4"),
-    "films": ("one", RESUMED[-1]),
+    "films": ("one", "two", RESUMED[-1]),
     "heat": ("one", "lists", "begun", "resumed_4"),
 }
 """Executions of the usual test run by scene: begun and resumed runs have two workers; those with other kernels have
