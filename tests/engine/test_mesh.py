@@ -1,5 +1,4 @@
-"""Mesh contacts on the device: equal to the numpy reference; bit-identical for any thread count and on
-restart."""
+"""Mesh contacts on the device equal the numpy reference."""
 
 import numpy as np
 from geometry.meshes import cube, sheet, tube, write
