@@ -117,14 +117,17 @@ class PeriodicBox:
         """Cut lines at the periodic faces, in the order of each line; without shear and deformation.
 
         A line goes from a point of the box to the image of another, `end`, nearest to a third, `near`; all
-        (n, 3) [m]. It goes on at the opposite face, and its last piece ends at the point `end` itself.
+        (n, 3) [m]. It goes on at the opposite face, and its last piece ends at the point `end` itself. Of no
+        lines there is one piece.
         """
         images = self.nearest_images(end, near)
         turns = np.round((images - end) / self.width)  # faces that the line still passes, up or down
         rows = np.arange(len(start))
         begin = np.zeros(len(start))
         here = start
-        while len(rows):
+        is_first = True
+        while is_first or len(rows):
+            is_first = False
             left = images - here
             face = self.low + np.where(turns > 0, self.width, 0.0)
             share = np.full(turns.shape, np.inf)
