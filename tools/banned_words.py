@@ -24,7 +24,6 @@ ALLOWED = {
     "CHANGELOG.md": (ANY,),  # names renamed keys
     "granflow/schema/messages.py": (ANY,),  # table of renamed keys
     "granflow/particles/file.py": ("grain", "grains"),  # column names of other programs
-    "tests/scene/test_suggest.py": (ANY,),  # renamed keys as input
     "tests/tools/test_banned_words.py": (ANY,),  # banned words as input
     "tools/banned_words.py": ("grain", "grains"),  # this table
     "tools/benchmark/ours.py": ("grains",),  # group name that seeds recorded beds
