@@ -14,7 +14,7 @@ particles:
     insert: {kind: positions, positions: [[-10.1 mm, 0, 0], [10.1 mm, 1 mm, 0]]}
 domain: {min: [-50 mm, -50 mm, -50 mm], max: [50 mm, 50 mm, 50 mm], on_exit: error}
 run: {duration: 2 ms}
-output: {interval: 1 ms, particles: false, walls: false}
+output: {interval: 1 ms, particles: false, walls: false, energy_budget: true}
 expect:
   - {quantity: kinetic_energy, below: 1.5e-3}
 """
