@@ -137,18 +137,22 @@ def mutated(source: str, mutation: dict) -> str:
 
 
 def nearest_first(copy: Path, file: str, tests: Iterable[str] | None = None) -> list[str]:
-    """These tests, or all files: those that name the module of a source file, those of its part, all others."""
-    module = file.removesuffix(".py").replace("/", ".")
+    """These tests, or all files: those that name the module of a source file, those of its part, all others.
 
-    @cache
-    def distance(path: str) -> int:
-        if module in (copy / path).read_text(encoding="utf-8"):
-            return 0
-        return 1 if Path(path).parent.name == Path(file).parts[1] else 2
+    Tests of one file keep their order, because some share a simulation.
+    """
+    module = file.removesuffix(".py").replace("/", ".")
+    text = cache(lambda path: (copy / path).read_text(encoding="utf-8"))
+
+    def place(test: str) -> tuple[int, str, int]:
+        path, _, name = test.partition("::")
+        is_of_part = Path(path).parent.name == Path(file).parts[1]
+        distance = 0 if module in text(path) else 1 if is_of_part else 2
+        return distance, path, text(path).find(f"def {name}(")
 
     if tests is None:
         tests = [path.relative_to(copy).as_posix() for path in (copy / "tests").rglob("test_*.py")]
-    return sorted(tests, key=lambda test: (distance(test.split("::")[0]), test))
+    return sorted(tests, key=place)
 
 
 class Executed:

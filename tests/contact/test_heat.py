@@ -447,6 +447,7 @@ def test_losses_become_heat_and_the_total_energy_with_inlet_and_outlet_is_closed
     rod_mass = start["mass"][start["group"] == 1].sum()
     expected = heat_capacity * (HOT * rod_mass + 500.0 * (inserted_mass - rod_mass))
     assert totals["heat_content_inserted"] == pytest.approx(expected, rel=1e-12)
+    assert "loss_heat" not in start, "this number of the last step is no particle quantity"
     kinds = ("kinetic", "rotational", "gravitational", "elastic")
     mechanical = sum(totals[f"{kind}_energy"] for kind in kinds) + totals["plastic_dissipation"] - ended
     residual = mechanical + totals["removed_energy"] + heat - totals["wall_work"]
