@@ -139,7 +139,6 @@ search:"""
     path = written(
         tmp_path, ("from: 0.3", "from: 0.45"), ("1 mJ, tolerance: 10 uJ", "0.89, tolerance: 0.01"),
         ("search:", more), ("trials: 12", "trials: 16"),
-        ("spheres.yaml}", "spheres.yaml, set: {output.energy_budget: true}}"),
     )  # fmt: skip
     out = tmp_path / "out"
     study = read_calibration(path)
