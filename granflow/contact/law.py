@@ -672,6 +672,7 @@ class ClosedFormCollision:
 #                          present contact plane; tangential laws
 #     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting
 #                          laws
+#     turn                 angle [rad] by which both bodies turn about n in this step, the mean of both
 #     rolling_rate         relative angular velocity [rad/s] at the half step; rolling and twisting laws
 #     inertia_eff          effective moment of inertia [kg m2]; rolling laws
 #     longest_time_step    longest time step of the run [s]; rolling laws
@@ -695,8 +696,7 @@ def in_contact_plane(vector, normal, normal_half):
     A relative velocity is that of the half step: its component along p vanishes, and the rest is rotated from
     the plane at the half step to the present one, with a relative error of the square of the angle between
     them. The displacement of a spring is in the previous contact plane, whose angle p halves: it is rotated
-    from that plane to the present one. Rotation of the pair about its normal does not rotate the spring;
-    other DEM codes neglect it as well, and it costs a cross product.
+    from that plane to the present one.
     """
     return vector - vector.dot(normal) * normal_half
 
@@ -704,6 +704,37 @@ def in_contact_plane(vector, normal, normal_half):
 def reference_in_contact_plane(vector: np.ndarray, contact: SurfaceState) -> np.ndarray:
     """Reference implementation of `in_contact_plane` in numpy."""
     return vector - np.vdot(vector, contact.normal) * contact.normal_half
+
+
+@ti.func
+def carried(displacement, contact):
+    """The displacement of a spring in the previous step, turned with both bodies.
+
+        u cos(a) + n x u sin(a)        u: in the present contact plane,  a = `turn`, to its third order
+
+    A spring whose bodies rotate together keeps its direction relative to them: particles that rest in a
+    container that rotates would creep otherwise, as if their contacts slipped.
+    """
+    plane = in_contact_plane(displacement, contact.normal, contact.normal_half)
+    turn = contact.turn
+    return plane + turn * contact.normal.cross(plane) - (0.5 * turn * turn) * plane
+
+
+@ti.func
+def half_carried(step, contact):
+    """The change of a displacement at the middle of the step, turned with both bodies to its end."""
+    return step + 0.5 * contact.turn * contact.normal.cross(step)
+
+
+def reference_half_carried(step: np.ndarray, contact: SurfaceState) -> np.ndarray:
+    """Reference implementation of `half_carried` in numpy."""
+    return step + 0.5 * contact.turn * np.cross(contact.normal, step)
+
+
+def reference_carried(displacement: np.ndarray, contact: SurfaceState) -> np.ndarray:
+    """Reference implementation of `carried` in numpy."""
+    plane = reference_in_contact_plane(displacement, contact)
+    return plane + contact.turn * np.cross(contact.normal, plane) - 0.5 * contact.turn**2 * plane
 
 
 @dataclass(frozen=True)

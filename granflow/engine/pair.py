@@ -535,6 +535,7 @@ class PairForce:
             normal_damping=normal_damping,
             slip=dt * slip_rate,
             slip_rate=slip_rate,
+            turn=0.5 * dt * kinematics.normal_half.dot(angular_velocities.first + angular_velocities.partner),
             rolling_rate=angular_velocities.first - angular_velocities.partner,
         )
 

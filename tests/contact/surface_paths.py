@@ -12,7 +12,7 @@ from granflow.kernel_language import ti
 
 NUMBERS = (
     *("radius_eff", "mass_eff", "inertia_eff", "time_step", "longest_time_step", "overlap", "overlap_rate"),
-    *("normal_load", "stiffness", "stiffness_ratio", "normal_damping"),
+    *("normal_load", "stiffness", "stiffness_ratio", "normal_damping", "turn"),
 )
 VECTORS = ("normal", "normal_half", "slip", "slip_rate", "rolling_rate")
 """Members of the struct `contact` of tangential and rolling models."""

@@ -9,6 +9,7 @@ from contact.surface_paths import evaluate_surface, evaluate_surface_reference
 from granflow.contact.law import ContactModel, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
+from granflow.contact.rolling import epsd
 from granflow.contact.rolling.bounded_torque import STOPPED_SHARE
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring
@@ -88,6 +89,7 @@ def paths(contacts, steps, seed=1, steady=False):
         "longest_time_step": TIME_STEP, "overlap": 2.5e-3, "overlap_rate": 0.0, "stiffness": stiffness,
         "normal_damping": 0.1 * STIFFNESS * TIME_STEP,
         "normal_load": LOAD * (1.0 + varying * rng.uniform(-1.0, 1.0, shape)), "stiffness_ratio": before / stiffness,
+        "turn": turning * rng.normal(0.0, 1.0, shape),
     }  # fmt: skip
     return numbers, {
         "normal": now, "normal_half": middle, "slip": slip, "slip_rate": slip / TIME_STEP, "rolling_rate": rate,
@@ -109,7 +111,8 @@ def test_device_equals_its_numpy_reference(taichi_f64, variant):
     np.testing.assert_allclose(found.force, force, rtol=0.0, atol=30 * 2.0**-52 * np.abs(force).max())
     scale = np.abs(history).max(axis=(0, 1)) + np.finfo(float).tiny
     np.testing.assert_allclose(found.history / scale, history / scale, rtol=0.0, atol=30 * 2.0**-52)
-    exchanged = evaluate_surface(law, pair, numbers, {name: -value for name, value in vectors.items()})
+    turned = numbers | {"turn": -numbers["turn"]}
+    exchanged = evaluate_surface(law, pair, turned, {name: -value for name, value in vectors.items()})
     signs = [-1.0 if each.size == 3 else 1.0 for each in law.history for _ in range(each.size)] or [1.0]
     for name, sign in (("force", -1.0), ("loss", 1.0), ("stored", 1.0), ("history", signs)):
         np.testing.assert_array_equal(getattr(exchanged, name), getattr(found, name) * sign)
@@ -149,7 +152,8 @@ def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64
         name: np.concatenate([vectors[name]] * 2, axis=1) for name in ("normal", "normal_half")
     }
     numbers = numbers | {
-        name: np.tile(numbers[name][:, :1], 48) for name in ("stiffness", "stiffness_ratio", "normal_load")
+        name: np.tile(numbers[name][:, :1], 48)
+        for name in ("stiffness", "stiffness_ratio", "normal_load", "turn")
     }
     found = evaluate_surface(law, pair, numbers, there_and_back)
     before = np.concatenate([np.zeros_like(found.force[:, :1]), found.force[:, :-1]], axis=1)
@@ -164,6 +168,25 @@ def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64
     assert accounted.min() >= -1e-14 * accounted.max()
     assert np.count_nonzero(accounted > 1e-3 * accounted.max()) > 20
     assert found.stored.min() >= 0.0
+
+
+@pytest.mark.parametrize("model", [mindlin.MODEL, epsd.MODEL], ids=lambda model: model.name)
+def test_a_spring_turns_with_both_bodies(taichi_f64, model):
+    """After a step below the limit, 1000 steps turn both bodies by a quarter turn, and the force with them."""
+    law, pair = law_and_pair(Variant(model))
+    numbers, vectors = paths(contacts=5, steps=1001, seed=2, steady=True)
+    numbers = numbers | {
+        name: numbers[name][:, :1] for name in ("stiffness", "stiffness_ratio", "normal_load")
+    }
+    for name in ("slip", "slip_rate", "rolling_rate"):
+        vectors[name][:, 0] *= 1e-3
+        vectors[name][:, 1:] = 0.0
+    numbers["turn"][:, 1:] = 0.5 * np.pi / 1000
+    found = evaluate_surface(law, pair, numbers, vectors)
+    first, normal = found.force[:, 0], vectors["normal"][:, 0]
+    quarter = np.cross(normal, first)
+    np.testing.assert_allclose(found.force[:, -1], quarter, rtol=0.0, atol=1e-6 * np.abs(first).max())
+    np.testing.assert_allclose(found.loss[:, 1:], 0.0, atol=1e-9 * found.stored.max())
 
 
 def test_dashpot_of_a_spring_of_constant_stiffness(taichi_f64):
@@ -182,7 +205,7 @@ def test_dashpot_of_a_spring_of_constant_stiffness(taichi_f64):
         numbers = {
             "radius_eff": RADIUS, "mass_eff": MASS, "inertia_eff": 0.4 * MASS * RADIUS**2, "time_step": 8e-6,
             "longest_time_step": 8e-6, "overlap": 2.5e-3, "overlap_rate": 0.0, "stiffness": STIFFNESS,
-            "normal_damping": 2.0, "normal_load": 0.6 / COEFFICIENT, "stiffness_ratio": 1.0,
+            "normal_damping": 2.0, "normal_load": 0.6 / COEFFICIENT, "stiffness_ratio": 1.0, "turn": 0.0,
         }  # fmt: skip
         vectors = {"normal": up, "normal_half": up, "slip": slip, "slip_rate": slip / 8e-6}
         found = evaluate_surface(law, pair, numbers, vectors | {"rolling_rate": 0.0 * slip})

@@ -151,3 +151,34 @@ def test_dashpots_beyond_the_limit_leave_no_energy_in_their_springs(taichi_f64):
     dissipated = {name: last.totals[f"{name}_dissipation"] for name in ("friction", "rolling", "damping")}
     assert min(dissipated.values()) > 1e-7
     assert sum(dissipated.values()) == pytest.approx(lost, rel=1e-4)
+
+
+def test_a_ball_at_rest_on_a_turntable_stays_at_its_place(taichi_f64):
+    """Held by friction and rolling friction, whose springs turn with table and ball, after it has come to rest.
+
+    If they kept their direction in space, the ball would creep by more than 2 pi F / K in each revolution, with
+    the force F = m w^2 r and Mindlin's stiffness K = 8 G sqrt(R d).
+    """
+    rate, distance = 50.0, 5e-3
+    ball = particle_group(
+        [distance, 0, RADIUS - OVERLAP],
+        2 * RADIUS,
+        velocity=[0, rate * distance, 0],
+        angular_velocity=[0, 0, rate],
+    )
+    table = {"kind": "rotation", "point": [0, 0, 0], "axis": [0, 0, 1], "angular_velocity": rate}
+    scene = build_scene(
+        {"ball": ball}, {"table": plane([0, 0, 0], [0, 0, 1], motion=table)}, materials={"glass": MATERIAL},
+        pair={"restitution": 0.3, "friction": 2.0, "rolling_friction": 2.0, "rolling_damping": 0.5},
+        contact={"normal": "hertz", "tangential": {"law": "mindlin", "damping": 1.0}, "rolling": "sds"},
+        gravity=[0, 0, -GRAVITY], run={"duration": 0.2, "velocity_max": 0.3},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 0.1)[1:]
+    place = column(snapshots, "position")[:, 0]
+    angle = np.unwrap(np.arctan2(place[:, 1], place[:, 0]) - rate * times(snapshots), period=2 * np.pi)
+    shear = MATERIAL["young_modulus"] / (2 * 1.3) / (2 * 1.7)
+    creep = rate * 0.1 * MASS * rate**2 * distance / (8 * shear * np.sqrt(RADIUS * OVERLAP))
+    assert abs(distance * np.diff(angle)[0]) < 0.01 * creep
+    np.testing.assert_allclose(
+        column(snapshots, "angular_velocity")[:, 0], [[0, 0, rate]] * 2, atol=1e-4 * rate
+    )

@@ -72,9 +72,10 @@ STARTS = {
 def derivatives(surface, t, state):
     """Time derivatives of position, velocity, angular velocity and displacements; load [N].
 
-    Spring of friction s, of rolling a and of twist b; the first two turn with the contact plane:
+    Spring of friction s, of rolling a and of twist b; the first two turn with the contact plane, and about its
+    normal with the mean of both bodies, at the rate q:
 
-        s' = v_t - (s . n') n        a' = w_t - (a . n') n        b' = w . n
+        s' = v_t - (s . n') n + q n x s        a' = w_t - (a . n') n + q n x a        b' = w . n
     """
     distance_and_normal, radius_eff, turning, pivot = surface
     x, v, w, s, a, b = np.split(state, [3, 6, 9, 12, 15])
@@ -89,7 +90,10 @@ def derivatives(surface, t, state):
     friction = TANGENTIAL * s
     load = NORMAL * (RADIUS - distance)
     torque = arm * np.cross(n, friction) - ROLLING * radius_eff**2 * a - TORSION * b * n
-    changes = slip - s @ turn * n, rate - rate @ n * n - a @ turn * n, [rate @ n]
+    spin = 0.5 * (w + turning) @ n
+    slipping = slip - s @ turn * n + spin * np.cross(n, s)
+    rolling = rate - rate @ n * n - a @ turn * n + spin * np.cross(n, a)
+    changes = slipping, rolling, [rate @ n]
     return np.concatenate([v, GRAVITY + (load * n - friction) / MASS, torque / INERTIA, *changes]), load
 
 

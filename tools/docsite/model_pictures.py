@@ -160,7 +160,7 @@ def _damped_loop() -> str:
     law = Sds(False)
     contact = SimpleNamespace(
         stiffness=1.0, stiffness_ratio=1.0, radius_eff=1.0, inertia_eff=1.0, normal_load=1.0, time_step=step,
-        normal=np.array([0.0, 0.0, 1.0]), normal_half=np.array([0.0, 0.0, 1.0]),
+        normal=np.array([0.0, 0.0, 1.0]), normal_half=np.array([0.0, 0.0, 1.0]), turn=0.0,
         constants=SimpleNamespace(rolling_friction=1.0, rolling_damping=0.3),
     )  # fmt: skip
     torques: list[float] = []

@@ -15,7 +15,11 @@ from granflow.contact.law import (
     RollingFriction,
     RollingLaw,
     SurfaceState,
+    carried,
+    half_carried,
     in_contact_plane,
+    reference_carried,
+    reference_half_carried,
     reference_in_contact_plane,
 )
 from granflow.contact.tangential.spring import (
@@ -57,8 +61,9 @@ class Epsd(RollingLaw):
         history_new = history
         ratio = contact.stiffness_ratio
         rate = contact.rolling_rate
-        rotated = in_contact_plane(history.angle, contact.normal, contact.normal_half)
-        step = contact.time_step * in_contact_plane(rate, contact.normal, contact.normal_half)
+        rotated = carried(history.angle, contact)
+        tangential_rate = in_contact_plane(rate, contact.normal, contact.normal_half)
+        step = half_carried(contact.time_step * tangential_rate, contact)
         spring = contact.stiffness * contact.radius_eff * contact.radius_eff
         limit = constants.rolling_friction * contact.radius_eff * contact.normal_load
         torque, angle = elastic_plastic_spring(spring, ti.min(ratio, 1.0), limit, rotated, step)
@@ -72,8 +77,8 @@ class Epsd(RollingLaw):
         torque, angle = reference_spring(
             contact.stiffness * contact.radius_eff**2,
             contact.constants.rolling_friction * contact.radius_eff * contact.normal_load,
-            min(contact.stiffness_ratio, 1.0) * reference_in_contact_plane(contact.history.angle, contact),
-            contact.time_step * tangential_rate,
+            min(contact.stiffness_ratio, 1.0) * reference_carried(contact.history.angle, contact),
+            reference_half_carried(contact.time_step * tangential_rate, contact),
         )
         return torque, {"angle": angle}
 

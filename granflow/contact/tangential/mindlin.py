@@ -19,8 +19,10 @@ from granflow.contact.law import (
     SlidingFriction,
     SurfaceState,
     TangentialLaw,
-    in_contact_plane,
-    reference_in_contact_plane,
+    carried,
+    half_carried,
+    reference_carried,
+    reference_half_carried,
 )
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
@@ -79,10 +81,7 @@ class Mindlin(TangentialLaw):
 
     name = "mindlin"
     source = "Mindlin 1949; Cundall & Strack 1979; Thornton, Cummins & Cleary 2013"
-    limits = (
-        "slip occurs in the whole contact area at once, and rotation about the normal does not rotate the "
-        "spring"
-    )
+    limits = "slip occurs in the whole contact area at once"
     constant_names: ClassVar[tuple[str, ...]] = ("friction",)
 
     @classmethod
@@ -169,7 +168,8 @@ class Mindlin(TangentialLaw):
         history_new = history
         stiffness = self.stiffness(constants, contact)
         ratio = self.stiffness_ratio(contact)
-        rotated = in_contact_plane(history.displacement, contact.normal, contact.normal_half)
+        rotated = carried(history.displacement, contact)
+        slip = half_carried(contact.slip, contact)
         factor = self.displacement_ratio(ratio)
         limit = self.limit(constants, contact)
         spring = 0.0 * rotated
@@ -180,12 +180,12 @@ class Mindlin(TangentialLaw):
             damping = ti.select(rotated.dot(rotated) > 0.0, constants.damping * contact.normal_damping, 0.0)
             dashpot = -damping * contact.slip_rate
             if ti.static(self.dashpot_sticks):
-                spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, contact.slip)
-                trial = factor * rotated + contact.slip
+                spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, slip)
+                trial = factor * rotated + slip
                 dashpot *= ti.select(limit_ratio(-stiffness * trial, limit) < 1.0, 0.0, 1.0)
                 force = spring + dashpot
             else:
-                displacement = factor * rotated + contact.slip
+                displacement = factor * rotated + slip
                 trial = dashpot - stiffness * displacement
                 share = limit_ratio(trial, limit)
                 force = share * trial
@@ -197,14 +197,12 @@ class Mindlin(TangentialLaw):
                     deflection_before = history.stored - 0.5 * ratio * stiffness * rotated.dot(rotated)
                     further_loss = spring_energy - stored + deflection_before
                     history_new.stored = stored
-            further_loss -= 0.5 * (history.dashpot + dashpot).dot(contact.slip)
+            further_loss -= 0.5 * (history.dashpot + dashpot).dot(slip)
             history_new.dashpot = dashpot
         else:
-            spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, contact.slip)
+            spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, slip)
             force = spring
-        energy_lost = (
-            spring_loss(stiffness, ratio, rotated, contact.slip, spring, displacement) + further_loss
-        )
+        energy_lost = spring_loss(stiffness, ratio, rotated, slip, spring, displacement) + further_loss
         history_new.displacement = displacement
         return force, history_new, energy_lost
 
@@ -218,20 +216,21 @@ class Mindlin(TangentialLaw):
         preserved = ratio if self.force_increments else 1.0  # by which the displacement changes
         if self.rescaled and ratio > 1.0:
             preserved /= ratio
-        carried = preserved * reference_in_contact_plane(contact.history.displacement, contact)
+        slip = reference_half_carried(contact.slip, contact)
+        kept = preserved * reference_carried(contact.history.displacement, contact)
         limit = contact.constants.friction * contact.normal_load
         if not self.damped:
-            force, displacement = reference_spring(stiffness, limit, carried, contact.slip)
+            force, displacement = reference_spring(stiffness, limit, kept, slip)
             return force, {"displacement": displacement}
         damping = self.damping * contact.normal_damping if contact.history.displacement.any() else 0.0
         dashpot = -damping * contact.slip_rate
         if self.dashpot_sticks:
-            spring, displacement = reference_spring(stiffness, limit, carried, contact.slip)
-            trial = stiffness * (carried + contact.slip)
+            spring, displacement = reference_spring(stiffness, limit, kept, slip)
+            trial = stiffness * (kept + slip)
             if trial @ trial > limit * limit:
                 dashpot = np.zeros(3)
             return spring + dashpot, {"displacement": displacement, "dashpot": dashpot}
-        displacement = carried + contact.slip
+        displacement = kept + slip
         force = dashpot - stiffness * displacement
         size = float(np.sqrt(force @ force))
         elastic_force = stiffness * displacement
