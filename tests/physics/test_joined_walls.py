@@ -65,7 +65,7 @@ def together(*surfaces):
     return np.concatenate([points for points, _ in surfaces]), np.concatenate(corners)
 
 
-def on_seam(x, y, shares=(-0.4, 0.0, 0.4)):
+def on_seam(x, y, shares=(-0.4, 0.05, 0.4)):
     """Positions of spheres that cross the line of this x at three times of the collision, near y."""
     start = np.array([x, y, RADIUS + GAP]) - VELOCITY * [TIME_TO_SEAM, TIME_TO_SEAM, 0.0]
     return [start + [share * RADIUS * 0.1, 6e-3 * k, 0.0] for k, share in enumerate(shares)]
