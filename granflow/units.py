@@ -8,6 +8,7 @@ dimension was given, for studies that print it again.
 import difflib
 import math
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,6 +17,7 @@ from typing import Any
 
 from granflow.arguments import shown
 from granflow.errors import GranflowError
+from granflow.visible_text import alternatives
 
 # Dimensions and their units
 
@@ -42,26 +44,37 @@ class Dimension:
 
 
 def _unit_table(text: str) -> dict[str, Fraction]:
-    """Exact factors from "m 1, mm 1e-3, ..."; the SI unit is first."""
-    pairs = (entry.split() for entry in text.split(","))
-    return {name: Fraction(factor) for name, factor in pairs}
+    """Exact factors from "m 1, mm 1e-3, ..."; the SI unit is first.
+
+    A unit with an exponent has its other notations, m^3 and m³, one with the prefix u also µ.
+    """
+    units = {}
+    for name, factor in (entry.split() for entry in text.split(",")):
+        for written in (name, _EXPONENT.sub("^", name), name.translate(_SUPERSCRIPT)):
+            units[written] = Fraction(factor)
+        if name.startswith("u"):
+            units["µ" + name[1:]] = Fraction(factor)
+    return units
+
+
+_EXPONENT = re.compile(r"(?<=[a-z])(?=[23])")
+_SUPERSCRIPT = str.maketrans("23", "²³")
+_GREEK = str.maketrans(
+    "\u03bc", "µ"
+)  # keyboards and editors give the Greek letter in place of the micro sign
 
 
 DIMENSIONS: dict[str, Dimension] = {
     "number": Dimension("a number", "0.5", _unit_table("% 1/100")),
-    "length": Dimension(
-        "a length", "4 mm", _unit_table("m 1, km 1e3, cm 1e-2, mm 1e-3, um 1e-6, µm 1e-6, nm 1e-9")
-    ),
-    "time": Dimension(
-        "a time", "10 ms", _unit_table("s 1, ms 1e-3, us 1e-6, µs 1e-6, ns 1e-9, min 60, h 3600")
-    ),
+    "length": Dimension("a length", "4 mm", _unit_table("m 1, km 1e3, cm 1e-2, mm 1e-3, um 1e-6, nm 1e-9")),
+    "time": Dimension("a time", "10 ms", _unit_table("s 1, ms 1e-3, us 1e-6, ns 1e-9, min 60, h 3600")),
     "velocity": Dimension(
         "a velocity", "3 m/s", _unit_table("m/s 1, cm/s 1e-2, mm/s 1e-3, km/h 1000/3600, m/min 1/60")
     ),
     "acceleration": Dimension(
         "an acceleration",
         "9.81 m/s2",
-        _unit_table(f"m/s2 1, m/s^2 1, m/s² 1, mm/s2 1e-3, g {_STANDARD_GRAVITY}"),
+        _unit_table(f"m/s2 1, mm/s2 1e-3, g {_STANDARD_GRAVITY}"),
     ),
     "angle": Dimension(
         "an angle", "30 deg", {"rad": Fraction(1), "deg": _PI / 180, "°": _PI / 180, "turn": 2 * _PI}
@@ -87,29 +100,29 @@ DIMENSIONS: dict[str, Dimension] = {
     "density": Dimension(
         "a density",
         "2500 kg/m3",
-        _unit_table("kg/m3 1, kg/m^3 1, kg/m³ 1, g/cm3 1e3, g/cm^3 1e3, g/cm³ 1e3, t/m3 1e3"),
+        _unit_table("kg/m3 1, g/cm3 1e3, t/m3 1e3"),
     ),
     "energy": Dimension(
         "an energy",
         "1 nJ",
-        _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, µJ 1e-6, nJ 1e-9, pJ 1e-12, aJ 1e-18, zJ 1e-21"),
+        _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, nJ 1e-9, pJ 1e-12, aJ 1e-18, zJ 1e-21"),
     ),
     "energy_density": Dimension(
         "an energy density",
         "1e4 J/m3",
-        _unit_table("J/m3 1, J/m^3 1, J/m³ 1, mJ/m3 1e-3, kJ/m3 1e3, MJ/m3 1e6"),
+        _unit_table("J/m3 1, mJ/m3 1e-3, kJ/m3 1e3, MJ/m3 1e6"),
     ),
     "surface_energy": Dimension(
         "a surface energy",
         "50 mJ/m2",
-        _unit_table("J/m2 1, J/m^2 1, J/m² 1, mJ/m2 1e-3, uJ/m2 1e-6, N/m 1, mN/m 1e-3"),
+        _unit_table("J/m2 1, mJ/m2 1e-3, uJ/m2 1e-6, N/m 1, mN/m 1e-3"),
     ),
     "volume": Dimension(
         "a volume",
         "10 nl",
         _unit_table(
-            "m3 1, m^3 1, m³ 1, cm3 1e-6, mm3 1e-9, l 1e-3, ml 1e-6, ul 1e-9, nl 1e-12, pl 1e-15, "
-            "L 1e-3, mL 1e-6, uL 1e-9, µL 1e-9, nL 1e-12, pL 1e-15"
+            "m3 1, cm3 1e-6, mm3 1e-9, l 1e-3, ml 1e-6, ul 1e-9, nl 1e-12, pl 1e-15, "
+            "L 1e-3, mL 1e-6, uL 1e-9, nL 1e-12, pL 1e-15"
         ),
     ),
     "stiffness": Dimension("a stiffness", "1e4 N/m", _unit_table("N/m 1, kN/m 1e3, N/mm 1e3, N/cm 100")),
@@ -122,7 +135,7 @@ DIMENSIONS: dict[str, Dimension] = {
     "granular_temperature": Dimension(
         "a granular temperature",
         "1e-4 m2/s2",
-        _unit_table("m2/s2 1, m^2/s^2 1, J/kg 1, cm2/s2 1e-4, mm2/s2 1e-6"),
+        _unit_table("m2/s2 1, J/kg 1, cm2/s2 1e-4, mm2/s2 1e-6"),
     ),
     "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),
     "mass": Dimension("a mass", "2 g", _unit_table("kg 1, g 1e-3, mg 1e-6, t 1e3")),
@@ -153,7 +166,7 @@ DIMENSIONS: dict[str, Dimension] = {
         "1e-4 1/(Pa s)",
         {"1/(Pa s)": Fraction(1), **_unit_table("1/(Pa*s) 1, 1/Pa/s 1, 1/kPa/s 1e-3")},
     ),
-    "heat_flux": Dimension("a heat flux", "1 kW/m2", _unit_table("W/m2 1, W/m^2 1, W/m² 1, kW/m2 1e3")),
+    "heat_flux": Dimension("a heat flux", "1 kW/m2", _unit_table("W/m2 1, kW/m2 1e3")),
 }
 """Dimensions by name; the first unit of each is the SI unit."""
 ZERO_POINTS = {"degC": Fraction("273.15"), "°C": Fraction("273.15")}
@@ -186,6 +199,8 @@ def si_unit_of(unit: str) -> str:
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
 _COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
+_GROUPS = re.compile(r"^(\s*[-+]?[0-9]{1,3})((?:[ _'’,][0-9]{3})+)(?![0-9])")
+_UNIT = re.compile(r"[^\W\d_]|[%°]|1?/\(?[a-z]", re.IGNORECASE)  # begins a unit
 _LONGEST_EXACT = 100  # characters; longer numbers are rounded before the unit is applied
 _LARGEST = Fraction(10) ** 300
 
@@ -216,18 +231,33 @@ def exact_si(text: str, dimension: str) -> Fraction | float:
     The zero of a unit in ZERO_POINTS is not zero in SI.
     """
     expected = dimension_of(dimension)
+    if groups := _GROUPS.search(text):
+        whole = groups[1] + re.sub("[^0-9]", "", groups[2]) + text[groups.end() :]
+        decimal = f", or {text.replace(',', '.')}" if _COMMA.search(text) else ""
+        raise UnitError(f"digits are not grouped in thousands: {whole}{decimal}")
     if _COMMA.search(text):
         raise UnitError(f"a decimal point is expected, not a comma: {text.replace(',', '.')}")
     match = _AMOUNT.fullmatch(text)
-    if match is None:
-        raise UnitError(f"{expected.noun} is expected, such as {expected.example}")
-    number, unit = match.groups()
+    if match is None or (match[2] and not _UNIT.match(match[2])):
+        raise UnitError(f"{expected.noun} is expected, such as {expected.example}{_foreign(text)}")
+    number, unit = match[1], match[2].translate(_GREEK)
     plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
     factor = _factor(unit, dimension)
     zero = ZERO_POINTS.get(unit, 0)
     if not math.isfinite(plain) or (plain == 0 and not zero):
         return plain
     return (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor + zero
+
+
+def _foreign(text: str) -> str:
+    """Which character of a text that is no number only looks like a digit or a sign; empty without one."""
+    for character in text:
+        if not character.isascii() and (
+            character.isdecimal() or unicodedata.category(character) in ("Pd", "Sm")
+        ):
+            kind = "digit" if character.isdecimal() else "minus sign -"
+            return f"; {character} (U+{ord(character):04X}) is not the {kind} of a keyboard"
+    return ""
 
 
 def factor_of(unit: str, dimension: str) -> float:
@@ -267,10 +297,11 @@ def _wrong_unit(unit: str, expected: Dimension) -> str:
     if not expected.units or expected is DIMENSIONS["number"]:
         return f"{expected.noun} without a unit is expected, such as {expected.example}"
     if matching:
-        meaning = f"{unit} is a unit of {_without_article(matching[0])}"
+        meaning = f"{unit} is a unit of {alternatives([_without_article(noun) for noun in matching])}"
         return f"{meaning} and {expected.noun} is expected, such as {expected.example}"
-    near = difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
-    known = ", ".join(name for name in expected.units if name.isascii())
+    near = [name for name in expected.units if name.lower() == unit.lower()]
+    near = near or difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
+    known = ", ".join(name for name in expected.units if name.isascii() and "^" not in name)
     hint = f" (did you mean {near[0]}?)" if near else ""
     units = f"units of {_without_article(expected.noun)} are {known}, such as {expected.example}"
     return f"{unit} is not a known unit{hint}; {units}"
@@ -336,7 +367,7 @@ def column_factor(unit: str, si_unit: str) -> float:
             return float(each.units[unit])
     if not si_unit:
         raise UnitError(f"{unit} is no unit of a number; the only one is %")
-    names = dict.fromkeys(name for each in known for name in each.units if name.isascii())
+    names = dict.fromkeys(name for each in known for name in each.units if name.isascii() and "^" not in name)
     names = {name: None for name in names if name not in ZERO_POINTS}
     raise UnitError(f"{unit} is no unit of it; give {', '.join(names) or si_unit}")
 

@@ -163,7 +163,7 @@ def material_names(parts: PartialScene) -> Iterator[Fault]:
     seen: dict[frozenset[str], str] = {}
     for key in parts.names("pairs"):
         both = key.split("-")
-        if len(both) != 2:
+        if len(both) != 2 or " " in key:  # no name of a pair, which another message says
             continue
         for name in dict.fromkeys(both):
             if name not in known:

@@ -230,7 +230,8 @@ def _file_text(path: Path, kind: str) -> str:
 def _decoded(raw: bytes, path: Path, kind: str) -> str:
     """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for other data."""
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
+        encoding = "UTF-32" if raw.startswith(b"\xff\xfe\0\0") else "UTF-16"
+        raise SceneError(f"{path}:1:1: the file is encoded in {encoding}; save it as UTF-8.")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -140,6 +140,8 @@ class Node:
         text = " ".join(self.text.split())
         if not text:
             return "empty"
+        if isinstance(self.scalar, str) and not isinstance(resolve(text), str):
+            text = f'"{text}"'  # text in quotes that would be a number or a word such as true without them
         return text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "..."
 
 
@@ -282,9 +284,15 @@ class _Composer:
         mark = error.problem_mark or error.context_mark
         if error.context_mark and _starts_helps_more(error):
             mark = error.context_mark
-        position = self._position(mark.line + 1, mark.column + 1) if mark else SourcePosition(self.source)
-        line = text.splitlines()[mark.line : mark.line + 1] if mark else []
-        return Problem(position, _syntax_sentence(error, "".join(line).strip()))
+        if mark is None:
+            return Problem(SourcePosition(self.source), _syntax_sentence(error, ""))
+        lines = text.splitlines()
+        line, column = mark.line, mark.column
+        if "mapping values are not allowed" in str(error.problem):
+            line, column, sentence = _second_key(lines, line, column)
+        else:
+            sentence = _syntax_sentence(error, lines[line] if line < len(lines) else "")
+        return Problem(self._position(line + 1, column + 1), sentence)
 
     def _node(self, event: Any, events: Iterator[Event]) -> Node:
         """The node that begins with an event; consumes its events. Raises DocumentError for a tag."""
@@ -357,26 +365,69 @@ def _starts_helps_more(error: MarkedYAMLError) -> bool:
     return "simple key" in context or "flow" in context or "quoted" in context
 
 
+_NO_COLON = '"{}" has no colon. Write key: value, with a space after the colon.'
+_NO_SPACE = re.compile(r"\s*(-\s+)?[\w-]+:(?=[\w\"'\[{.+-])")
+
+
+def _second_key(lines: list[str], line: int, column: int) -> tuple[int, int, str]:
+    """Line, column and sentence for a colon at a place where no key can be; lines and columns from 0.
+
+    The cause is this line, or the line above that the parser has joined with it: one without a colon, or one
+    whose key has a value already.
+    """
+    start = len(lines[line]) - len(lines[line].lstrip())
+    if missing := _NO_SPACE.match(lines[line]):
+        return line, missing.end() - 1, "a space is missing after this colon. Write key: value."
+    before = [number for number in range(line) if lines[number].partition("#")[0].strip()]
+    if before and ": " not in lines[line][:column]:
+        above = lines[before[-1]].partition(" #")[0].rstrip()
+        indent = len(above) - len(above.lstrip())
+        if not re.search(r":(\s|$)", above):
+            return before[-1], indent, _NO_COLON.format(above.strip())
+        if start > indent:
+            reason = "this line is indented more than the line above, whose key has a value already. "
+            return line, start, f"{reason}Align both keys, or remove that value."
+    sentence = (
+        "a second key begins here. Write each key on a separate line, and put text with a colon in quotes."
+    )
+    return line, column, sentence
+
+
+_MISPLACED = {
+    "-": "a list item begins here, but keys are above it. Remove the hyphen, or begin all of them with one.",
+    "?": "a key begins here, but list items are above it. Align it with the keys of its item.",
+    "]": "no [ is open for this ]; remove it.",
+    "}": "no { is open for this }; remove it.",
+    ",": "a value ends before this comma; put lists in [ ] and text with quotes in it in double quotes.",
+    "<scalar>": "a value ends before this text. Put text with quotes in double quotes, units into brackets.",
+}
+"""Sentences on what the parser has found in place of the end of a block."""
+_INDENTATION = (
+    "the indentation of this line is not that of the entries above, or the key above has a value already. "
+    "Align the entries with spaces."
+)
+
+
 def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
     """A sentence on a syntax error with its remedy; `line`: text of the line with the error."""
     problem = str(error.problem or error.context)
     context = str(error.context)
     if r"\t" in problem or "'\t'" in problem:
-        return "the indentation contains a tab, but YAML requires spaces. Replace the tab by spaces."
-    if "mapping values are not allowed" in problem:
-        return (
-            "a second key begins here, or the indentation differs from the line above. "
-            "Write each key on a separate line, and put text with a colon in quotes."
-        )
+        if line[: len(line) - len(line.lstrip())].count("\t"):
+            return "the indentation contains a tab, but YAML requires spaces. Replace the tab by spaces."
+        return "a tab is before this value, but a space is expected. Replace the tab by a space."
+    if "cannot start any token" in problem:
+        return f"text cannot begin with {line[error.problem_mark.column]}; put it in quotes."
+    found = re.search(r"but found '(.*)'", problem)
+    if "expected <block end>" in problem and found:
+        return _MISPLACED.get(found[1], _INDENTATION)
     if "simple key" in context:
-        return f'"{line}" has no colon. Write key: value, with a space after the colon.'
+        return _NO_COLON.format(line.strip())
     if "quoted" in context:
         return "the quote that opens here is not closed."
-    for kind, opening, closing in (
-        ("sequence", "[", "]"),
-        ("mapping", "{", "}"),
-        ("node", "bracket", "its partner"),
-    ):
+    if "flow node" in context:
+        return "a value is missing here; a negative number has no space after its sign."
+    for kind, opening, closing in (("sequence", "[", "]"), ("mapping", "{", "}")):
         if "flow " + kind in context:
             return f"the {opening} that opens here is not closed by {closing}, or a comma is missing in it."
     return f"this is not YAML: {problem}."

@@ -30,11 +30,24 @@ _CLOSE = 0.6  # similarity from which a name is suggested
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The known name that a word probably means; None without one.
 
-    In this order: the present name of a renamed key, a synonym, the name with the most similar letters.
+    In this order: the present name of a renamed key, a synonym, the longest name whose words the word has
+    (rolling_friction in rolling_friction_coefficient), the name with the most similar letters.
     """
     names = list(known)
+    words = _words(word)
+    within = [name for name in names if len(name) > 1 and _words(name) <= words]
     matches = difflib.get_close_matches(word, names, n=1, cutoff=_CLOSE)
-    return renamed(word, names) or synonym(word, names) or next(iter(matches), None)
+    return (
+        renamed(word, names)
+        or synonym(word, names)
+        or max(within, key=lambda name: (len(name), name == word), default=None)
+        or next(iter(matches), None)
+    )
+
+
+def _words(name: str) -> set[str]:
+    """The words of a name, in lowercase letters."""
+    return set(re.findall("[a-z0-9]+", name.lower())) or {name}
 
 
 def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
@@ -46,6 +59,8 @@ def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
     if new := renamed(word, names):
         return f"{word} was renamed to {new}."
     match = nearest(word, names)
+    if match and (conversion := CONVERSIONS.get(_plain(word))):
+        return f"Give {match}{conversion}."
     if match:
         return f"Did you mean {match}?"
     return f"The {kind} are {', '.join(names)}" if names else f"There are no {kind}"
@@ -97,31 +112,47 @@ def renamed(word: str, known: Iterable[str]) -> str | None:
 # Names in other codes
 
 SYNONYMS: dict[str, tuple[str, ...]] = {
+    "amount": ("count",),
     "ball": ("particles",),
     "belt": ("surface_velocity", "motion"),
+    "block": ("box",),
     "boundary": ("domain", "periodic", "on_exit"),
+    "bulkmodulus": ("young_modulus",),
+    "circle": ("disc",),
     "coefficientfriction": ("friction",),
     "coefficientrestitution": ("restitution",),
     "coefficientrollingfriction": ("rolling_friction",),
     "cof": ("friction",),
     "cohesionenergydensity": ("cohesion_energy_density",),
-    "cor": ("restitution",),
     "conveyor": ("surface_velocity", "motion"),
+    "cor": ("restitution",),
+    "cube": ("box",),
+    "d": ("diameter",),
+    "dia": ("diameter",),
+    "dist": ("distribution",),
     "dt": ("time_step",),
     "dump": ("output", "interval"),
     "e": ("young_modulus", "restitution"),
     "edinburgh": ("eepa",),
     "edinburghstiffness": ("eepa",),
+    "elasticmodulus": ("young_modulus",),
+    "emodulus": ("young_modulus",),
     "en": ("restitution",),
     "epsd2": ("epsd", "sds"),
     "facet": ("mesh",),
     "factory": ("rain",),
+    "false": ("none",),
+    "filename": ("file",),
     "fix": ("walls",),
     "fixmovemesh": ("motion",),
     "fixwallgran": ("walls", "plane"),
     "freeze": ("fixed",),
+    "frustum": ("cone",),
+    "g": ("gravity", "young_modulus"),
     "gaussian": ("normal",),
     "grain": ("particles",),
+    "grains": ("particles",),
+    "greaterthan": ("above",),
     "hertzmaterial": ("hertz",),
     "hertzmindlin": ("hertz", "mindlin"),
     "history": ("mindlin",),
@@ -132,21 +163,39 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "insertrateregion": ("rain",),
     "insertstream": ("inlet",),
     "jkr": ("cohesion",),
+    "lessthan": ("below",),
     "lsd": ("linear",),
+    "mat": ("material",),
     "meshsurface": ("mesh",),
     "mindlindeltashear": ("mindlin",),
+    "morethan": ("above",),
     "movemesh": ("motion",),
     "mu": ("friction",),
+    "mur": ("rolling_friction",),
+    "mus": ("friction",),
+    "n": ("count",),
+    "no": ("none",),
     "nu": ("poisson_ratio",),
+    "num": ("count",),
+    "number": ("count",),
+    "numberofparticles": ("count",),
+    "off": ("none",),
     "omega": ("angular_velocity",),
+    "onleave": ("on_exit",),
     "oscillation": ("vibration",),
     "paircoeff": ("pairs",),
     "pairstyle": ("contact",),
+    "path": ("file",),
+    "pipe": ("cylinder",),
     "pour": ("rain",),
     "random": ("pack", "rain"),
     "rectangularwall": ("rectangle",),
     "rho": ("density",),
+    "rollingresistance": ("rolling_friction",),
     "rotate": ("rotation",),
+    "rpm": ("angular_velocity",),
+    "saveinterval": ("interval",),
+    "shearmodulus": ("young_modulus",),
     "simplifiedjkr": ("sjkr",),
     "sphere": ("particles",),
     "springdashpot": ("linear", "spring"),
@@ -157,8 +206,12 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "surfacevelocity": ("surface_velocity", "motion"),
     "target": ("force", "pressure"),
     "thermo": ("output", "timeseries_interval"),
+    "timeout": ("max_duration",),
     "timestep": ("time_step",),
     "tsuji": ("hertz",),
+    "tube": ("cylinder",),
+    "type": ("shape", "kind", "distribution"),
+    "typec": ("sds",),
     "wallgran": ("walls", "plane"),
     "wiggle": ("vibration",),
     "xmu": ("friction",),
@@ -169,11 +222,24 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
 names here for the same or the nearest feature, in the order of preference."""
 
 
+CONVERSIONS = {
+    "bulkmodulus": ", 3 (1 - 2 poisson_ratio) times the bulk modulus",
+    "g": ", 2 (1 + poisson_ratio) times the shear modulus",
+    "rpm": " with its unit, such as 30 rpm",
+    "shearmodulus": ", 2 (1 + poisson_ratio) times the shear modulus",
+}
+"""What follows "Give KEY" for names in SYNONYMS whose number is another one than that of the key."""
+
+
 def synonym(word: str, known: Iterable[str]) -> str | None:
     """The first known name for a name in another code; None if there is none."""
     names = list(known)
-    plain = "".join(letter for letter in word.lower() if letter.isalnum())
-    return next((name for name in SYNONYMS.get(plain, ()) if name in names), None)
+    return next((name for name in SYNONYMS.get(_plain(word), ()) if name in names), None)
+
+
+def _plain(word: str) -> str:
+    """The letters and digits of a word, in lowercase."""
+    return "".join(letter for letter in word.lower() if letter.isalnum())
 
 
 # Messages of faults
@@ -315,6 +381,9 @@ class _SchemaError:
                 remedy = f"It is a key of {alternatives(homes)}. {remedy}"
             if str(self.path[-1]).isdecimal():
                 remedy = f"Numbers have a decimal point, not a comma: such as 0.{self.path[-1]}."
+            run_on = re.fullmatch(r"([\w-]+)[\s:=]+(.*)", str(self.path[-1]), re.DOTALL)
+            if run_on and run_on[1] in self.keys():
+                remedy = f"Write {run_on[1]}: {run_on[2] or 'VALUE'}, with a colon and a space after the key."
             return whole(self.path, f"is not a known key. {remedy}")
         if self.type == "choice":
             return self._choice()

@@ -7,6 +7,7 @@ from ruamel.yaml import YAML
 
 from granflow.errors import FileError, SceneError
 from granflow.load import load_scene
+from granflow.schema.document import DocumentError, parse
 from granflow.studies.calibration.calibrate import read_calibration
 from granflow.studies.sweep import read_sweep
 
@@ -37,6 +38,31 @@ def test_invalid_scene_gives_its_messages(case, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_text(changed(case["change"]), encoding="utf-8")
     assert sentences(path) == [f"{path}:{sentence}" for sentence in case["says"]]
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("b: &a [*a]", "1:8: the alias *a contains itself."), ("b: *a", "1:4: the alias *a has no anchor &a above it."),
+    ("b: !!python/object:os {}", "1:4: the tag !!python/object:os is not supported in scenes; remove it."),
+    ("a: 1\n---\nb: 2", "2:1: a second document begins here"), ("? [a]\n: b", "1:3: a key must be plain text"),
+    ("<<: {a: 1}", "1:1: the merge key << is not part of YAML 1.2"),
+    ("a:\n\tb: 1", "2:1: the indentation contains a tab"), ("a:\tb", "1:3: a tab is before this value"),
+    ("a: [0, 1", "1:4: the [ that opens here is not closed"), ("a: {b: 1", "1:4: the { that opens here is not closed"),
+    ("a: 'b", "1:4: the quote that opens here is not closed."), ("a: 'it's'", "1:8: a value ends before this text."),
+    ("a: [1] mm", "1:8: a value ends before this text."), ("a: [1]]", "1:7: no [ is open for this ]"),
+    ("a: [1, - 2]", "1:8: a value is missing here; a negative number has no space"),
+    ("a: @b", "1:4: text cannot begin with @"), ("a: b: c", "1:5: a second key begins here."),
+    ("a:1\nb: 2", '1:1: "a:1" has no colon. Write key: value, with a space after the colon.'),
+    ("a: 1\nb 2", '2:1: "b 2" has no colon.'), ("// x\na: 1", '1:1: "// x" has no colon.'),
+    ("a:{b: 1, c: 2}", "1:2: a space is missing after this colon."),
+    ("a: 1\n\n  b: 2", "3:3: this line is indented more than the line above, whose key has a value"),
+    ("a:\n    b: 1\n  c: 2", "3:3: the indentation of this line is not that of the entries above"),
+    ("a:\n  b: 1\n  - c: 2", "3:3: a list item begins here, but keys are above it."),
+    ("a:\n  - b: 1\n  c: 2", "3:3: a key begins here, but list items are above it."),
+])  # fmt: skip
+def test_text_that_is_no_yaml_of_a_scene_is_rejected_where_its_cause_is(text, message):
+    with pytest.raises(DocumentError) as rejected:
+        parse(text, "file")
+    assert str(rejected.value).startswith(f"file:{message}")
 
 
 EXAMPLE = "but a scene is a mapping of keys to values, such as title: My scene."
