@@ -234,11 +234,11 @@ def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(
-        title=Text(visible(title)), title_justify="left", show_header=any(heads), box=None, pad_edge=False
-    )
+    table = Table(show_header=any(heads), box=None, pad_edge=False)
     for column, head in enumerate(heads):
         table.add_column(visible(head), justify="left" if column == 0 else "right", no_wrap=column > 0)
     for row in rows:
         table.add_row(*(Text(visible(cell)) for cell in row))
-    Console(width=None if sys.stdout.isatty() else WIDE).print(table)
+    console = Console(width=None if sys.stdout.isatty() else WIDE)
+    console.print(Text(visible(title), "table.title"))  # not of the table, in whose width it would wrap
+    console.print(table)

@@ -42,6 +42,12 @@ if TYPE_CHECKING:
     from granflow.studies.sweep import SweepFile
 
 
+def made(out: Path) -> Path:
+    """The output directory of a study, created before its runs, which can take minutes. Raises OSError."""
+    out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
     """Write the files of a study; without matplotlib, write only those that do not need it, with a message.
 
@@ -171,11 +177,12 @@ def restitution(options: argparse.Namespace) -> int:
     from granflow.studies.restitution import measure, restitution_rows, write_restitution
 
     scene = load(options)
+    out = made(options.out or Path("out") / scene.path.stem)
     found, step = measure(scene, options.arch)
     heads = ("pair of materials", "velocity m/s", "requested", "simulated", "difference %")
     show_table(scene.title, heads, restitution_rows(found))
     say(f"Time step {step:.4g} s, precision {scene.run.precision}; * marks a difference of more than 1 %.")
-    write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
+    write_study(out, write_restitution, found, scene.title)
     return 0
 
 
@@ -250,7 +257,7 @@ def paper(options: argparse.Namespace) -> int:
     """
     from granflow.studies.paper.report import write_paper
 
-    page = write_paper(options.out or Path("out/paper"), say_progress)
+    page = write_paper(made(options.out or Path("out/paper")), say_progress)
     say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")
     return 0
 
@@ -295,10 +302,11 @@ def _binary_collisions(options: argparse.Namespace) -> int:
         write_two_bodies,
     )
 
+    out = made(options.out or Path("out/accuracy"))
     study = measure_two_bodies(options.target, options.full, say_progress)
     show_table("error against run time", table_heads(options.target), table_rows(study.lines, options.target))
     say(default_sentence(study.lines, options.target))
-    write_study(options.out or Path("out/accuracy"), write_two_bodies, study)
+    write_study(out, write_two_bodies, study)
     say(study.recommendation)
     return 0
 
@@ -324,7 +332,7 @@ def _scene(options: argparse.Namespace) -> int:
             f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the "
             "full scene."
         )
-    out = options.out or Path("out") / f"accuracy_{options.scene.stem}"
+    out = made(options.out or Path("out") / f"accuracy_{options.scene.stem}")
     kept = out / "accuracy_runs.json"
     try:
         study = measure_scene(
@@ -517,7 +525,7 @@ def stability(options: argparse.Namespace) -> int:
     from granflow.studies.stability.report import HEADS, PAGE, defects, headline, summary_rows
     from granflow.studies.stability.report import stability as study
 
-    out = options.out or Path("out/stability")
+    out = made(options.out or Path("out/stability"))
     outcomes, missing = study(
         out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.assessment}", flush=True)
     )

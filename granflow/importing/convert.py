@@ -278,7 +278,9 @@ def _read(
     """Execute one script. Raises DeckError."""
     report = deck.report
     deck.family["folder"] = path.parent
+    is_script = False
     for command in deck.interpreter.commands(path):
+        is_script = is_script or command.name in ("fix", *commands)
         if "cleared" in deck.family:
             deck.family["cleared"].remarks.clear()
             deck.family["cleared"].impossible(
@@ -302,6 +304,10 @@ def _read(
             )
         deck.report_unread(entry)
         _tell_box(deck)
+    if not is_script:
+        raise GranflowError(
+            f"{path}: no line begins with a command of LIGGGHTS or LAMMPS; give a script, such as in.bed."
+        )
 
 
 def _draft(deck: Deck, path: Path) -> Draft:

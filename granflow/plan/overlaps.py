@@ -365,8 +365,8 @@ class BedPressure:
 
 
 def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
-    """The pressures of a scene: the weight of its particles, each wall that presses on them, and the largest
-    target pressure of a deforming box."""
+    """The pressures of a scene: the weight of its particles, the walls that press on them, one for those with
+    the same force and pressure, and the largest target pressure of a deforming box."""
     diameter = 2.0 * plan.radius_max
     count = sum(group.count for group in plan.scene.particles.values() if not group.fixed)
     weight, area = weight_pressure(plan.scene)
@@ -375,14 +375,17 @@ def bed_pressures(plan: Plan) -> Iterator[BedPressure]:
         yield BedPressure(
             "weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts
         )
+    pressing: dict[str, tuple[list[str], float, float]] = {}
     for motion in plan.controlled_motions:
         area = motion.area_at(plan.walls) or section(plan.scene.domain, motion.direction)
         if motion.force > 0.0 and count > 0:
             pressure = motion.force / area
-            cause = (
-                f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
-            )
-            yield BedPressure("wall", cause, pressure, 3.0 * count, motion.force if count == 1 else None)
+            load = f"with {motion.force:.3g} N ({pressure_words(pressure)})"
+            pressing.setdefault(load, ([], motion.force, pressure))[0].append(f"walls.{motion.name}")
+    for load, (names, force, pressure) in pressing.items():
+        which = "which presses" if len(names) == 1 else "each of which presses"
+        cause = f"{', '.join(names)}, {which} {load}"
+        yield BedPressure("wall", cause, pressure, 3.0 * count, force if count == 1 else None)
     targets = [
         (axis.pressure or 0.0, ".".join(map(str, path)))
         for path, deformation in plan.scene.deformations()

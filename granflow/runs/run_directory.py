@@ -227,7 +227,9 @@ class RunDirectory:
             raise
         except OSError as error:
             self.check()
-            logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", time, error)
+            logging.getLogger("granflow.checkpoint").warning(
+                "No checkpoint at %.6g s: %s: %s", time, error.filename or self.path, error.strerror or error
+            )
             return False
         return True
 

@@ -78,8 +78,10 @@ def test_run_passes_its_options_to_the_simulation(monkeypatch, capsys):
 )
 def test_an_output_directory_that_cannot_be_made_is_refused(taichi_f64, capsys, out, reason):
     Path("link").symlink_to("nowhere")
-    assert main(["run", "beads.yaml", "--out", out, "--threads", "2"]) == 2
-    assert f"{out}: {reason}" in capsys.readouterr().err
+    # Studies refuse it before their first simulation.
+    for command in (["run", "beads.yaml", "--threads", "2"], ["paper"], ["accuracy"], ["stability"]):
+        assert main([*command, "--out", out]) == 2
+        assert f"{out}: {reason}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -176,6 +176,7 @@ def test_words_at_the_end_that_nothing_reads_are_not_possible(tmp_path, deck, li
         (liggghts, "distributiontemplate d", "distributiontemplate e", "no fix particledistribution/discrete e"),
         (liggghts, "run 1000", "unfix x", "there is no fix x to unfix"),
         (liggghts, "run 1000", "", "the script has no run"),
+        (lambda: "title: A bed\n", "A bed", "A", "no line begins with a command of LIGGGHTS or LAMMPS"),
         (liggghts, "radius constant 0.002", "radius constant", "the radius is missing at the end"),
         (liggghts, "primitive type 2", "primitive type 3", "the type is 3, but the box is made for the types 1 to 2"),
         (liggghts, "run 1000", "run -5", "the number of steps is -5; give one of at least 0"),
