@@ -27,6 +27,7 @@ from granflow.plan.overlaps import (
     pressure_words,
     region_findings,
     region_of,
+    section_of,
     solid_volume,
 )
 from granflow.plan.plan import Forecast, Plan
@@ -61,6 +62,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
         turned_out_findings(plan, times),
         region_findings(plan, times),
         servo_findings(plan, times),
+        servo_area_findings(plan),
         free_wall_findings(plan, times),
         sideways_findings(plan),
         backward_findings(plan),
@@ -814,6 +816,39 @@ def servo_findings(plan: Plan, times: StageTimes) -> Iterator[Finding]:
                 f"reach {first.force:.3g} N. "
                 f"{first.spec.remedy_of_distance(first.numbers, distance, duration)}",
             )
+
+
+LARGEST_AREA = 1.5
+"""Area of a servo over the section of the bed above which there is a warning."""
+
+
+def servo_area_findings(plan: Plan) -> Iterator[Finding]:
+    """Servos whose pressure refers to a wall that is much larger than the section of the bed at the start,
+    such as those of a triaxial sample between walls that overlap; all in one finding.
+
+    Groups with another insertion than a region or positions can fill the whole domain.
+    """
+    groups = [group for group in plan.scene.particles.values() if not group.fixed]
+    found = []
+    for motion in plan.controlled_motions:
+        area = motion.area_at(plan.walls)
+        pressure = getattr(motion.spec, "pressure", None)
+        if pressure is None or motion.section is not None or area is None:
+            continue
+        direction = np.array(motion.direction)
+        bed = max((section_of(plan.scene.domain, group, direction) for group in groups), default=area)
+        if area > LARGEST_AREA * bed:
+            found.append((motion.name, pressure, area, bed))
+    if found:
+        name, pressure, area, bed = found[0]
+        others = list(dict.fromkeys(each[0] for each in found if each[0] != name))
+        same = f" The same holds for walls.{', walls.'.join(others)}." if others else ""
+        yield (
+            ("walls", name, "motion"),
+            f": {pressure_words(pressure)} is the pressure on the whole wall, {area:.3g} m2, but the bed "
+            f"covers {bed:.3g} m2 at the start, on which it is {pressure_words(pressure * area / bed)}. "
+            f"Give between, with the walls around the bed, or make the wall as large as the bed.{same}",
+        )
 
 
 def _first_motions(plan: Plan, times: StageTimes) -> Iterator[tuple[str, ControlledMotion, float]]:

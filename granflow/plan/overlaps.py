@@ -416,7 +416,7 @@ def weight_pressure(scene: Scene) -> tuple[float, float]:
     for group in scene.particles.values():
         if group.fixed or not magnitude:
             continue
-        area = _section_of(scene.domain, group, gravity / magnitude)
+        area = section_of(scene.domain, group, gravity / magnitude)
         density = scene.materials[group.material].density
         total += magnitude * group.count * mean_volume(group) * density / area
         largest_section = max(largest_section, area)
@@ -424,7 +424,7 @@ def weight_pressure(scene: Scene) -> tuple[float, float]:
     return min(total, 0.64 * densest * float(np.abs(gravity) @ size)), largest_section
 
 
-def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
+def section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other
     insertions."""
     if group.insert.points:

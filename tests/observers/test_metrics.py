@@ -179,7 +179,11 @@ def test_shear_is_no_fluctuation_in_a_sheared_box():
     velocity = np.array([1.0, 2.0, 3.0]) + np.outer(3.0 * position[:, 2], [1.0, 0.0, 0.0])
     snapshot = snapshot_of(particles=spheres_of(position, velocity=velocity), contacts=contacts_of(0))
     meter = measured(snapshot, domain=domain, gravity=[0.0] * 3, kind="stress")
-    assert meter.readings()["pressure"] == pytest.approx(0.0, abs=1e-10)
+    assert meter.readings()["pressure"] == pytest.approx(0.0, abs=1e-10) and not meter.remark
+    open_above = {"min": [0.0] * 3, "max": [1.0, 1.0, 16.0], "periodic": ["x", "y"], "on_exit": "error"}
+    height = np.ptp(position[:, 2]) + 2.0 * snapshot.particles["radius"].max()
+    meter = measured(snapshot, domain=open_above, kind="stress")
+    assert f"the particles take {height / 16.0:.0%}: give a region" in meter.remark
 
 
 def test_granular_temperature_is_that_of_the_fluctuations_without_their_mean():

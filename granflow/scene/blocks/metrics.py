@@ -1035,6 +1035,7 @@ class StressMetric(Metric):
         ),
     )
     wants = frozenset({PARTICLES, CONTACTS})
+    emptiest: ClassVar[float] = 0.5  # share of the domain below which a remark asks for a region
 
     def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
         """See `Metric`: no clumps; along periodic axes, the region covers the domain."""
@@ -1079,7 +1080,17 @@ class StressMetric(Metric):
         for each in self.quantities[2:]:
             row, column = ("xyz".index(axis) for axis in each.name.removeprefix("stress_"))
             found[each.name] = float(stress[row, column])
-        return Reading(found)
+        remark = ""
+        if self.region is None and len(mass):
+            size = np.ptp(inside["position"], axis=0) + 2.0 * float(np.max(inside["radius"]))
+            share = np.minimum(size / np.subtract(domain.max, domain.min), 1.0)
+            filled = float(np.prod(np.delete(share, periodic)))
+            if filled < self.emptiest:
+                remark = (
+                    f"the stress is a mean over the domain, of which the particles take {filled:.0%}: give a "
+                    "region among them"
+                )
+        return Reading(found, remark)
 
 
 # Contacts per particle
