@@ -257,7 +257,7 @@ def refuse_other_object(scene: object) -> None:
     """Raise GranflowError for an object that is not a scene."""
     if not isinstance(scene, Scene):
         remedy = "granflow.Scene.from_dict" if isinstance(scene, Mapping) else "granflow.load_scene"
-        raise GranflowError(f"scene is a {type(scene).__name__}; make a scene of it with {remedy}.")
+        raise GranflowError(f"scene is of type {type(scene).__name__}; make a scene of it with {remedy}.")
 
 
 # Readers

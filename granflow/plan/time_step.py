@@ -45,7 +45,8 @@ def max_impact_velocity(scene: Scene, walls: Sequence[PlannedWall]) -> ImpactVel
     """
     given = scene.run.velocity_max
     if given is not None:
-        return ImpactVelocity(given, f"run.velocity_max, {scene.where('run', 'velocity_max')}")
+        key, line = "run.velocity_max", scene.where("run", "velocity_max")
+        return ImpactVelocity(given, key if line == key else f"{key}, {line}")
     fall = free_fall(scene)
     initial = max((group.initial_speed for group in scene.particles.values()), default=0.0)
     images = scene.image_speed

@@ -255,7 +255,8 @@ def no_such(name: str, known: Iterable[str], kind: str) -> str:
     names = list(known)
     if suggestion := nearest(name, names):
         return f"there is no such {kind}. Did you mean {suggestion}?"
-    known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
+    several = re.sub(r"^(.*?)(?= (?:of|with) |$)", r"\1s", kind, count=1)  # groups of particles
+    known_names = f"the {several} are {', '.join(names)}" if names else f"the scene has no {several}"
     return f"there is no such {kind}; {known_names}"
 
 
