@@ -53,15 +53,13 @@ def _unit_table(text: str) -> dict[str, Fraction]:
         for written in (name, _EXPONENT.sub("^", name), name.translate(_SUPERSCRIPT)):
             units[written] = Fraction(factor)
         if name.startswith("u"):
-            units["µ" + name[1:]] = Fraction(factor)
+            # Keyboards and editors write the Greek letter in place of the micro sign.
+            units["µ" + name[1:]] = units["\u03bc" + name[1:]] = Fraction(factor)
     return units
 
 
 _EXPONENT = re.compile(r"(?<=[a-z])(?=[23])")
 _SUPERSCRIPT = str.maketrans("23", "²³")
-_GREEK = str.maketrans(
-    "\u03bc", "µ"
-)  # keyboards and editors give the Greek letter in place of the micro sign
 
 
 DIMENSIONS: dict[str, Dimension] = {
@@ -240,7 +238,7 @@ def exact_si(text: str, dimension: str) -> Fraction | float:
     match = _AMOUNT.fullmatch(text)
     if match is None or (match[2] and not _UNIT.match(match[2])):
         raise UnitError(f"{expected.noun} is expected, such as {expected.example}{_foreign(text)}")
-    number, unit = match[1], match[2].translate(_GREEK)
+    number, unit = match.groups()
     plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
     factor = _factor(unit, dimension)
     zero = ZERO_POINTS.get(unit, 0)

@@ -17,6 +17,7 @@ import numpy as np
 
 from granflow.io.files import FormatError, read_file
 from granflow.io.vtu import VtuMesh, read_vtu, reason_of
+from granflow.visible_text import numbered
 
 if TYPE_CHECKING:
     from meshio import Mesh
@@ -82,6 +83,8 @@ def read_triangles(path: Path) -> RawTriangles:
     else:
         if kind == "stl" and not raw.rstrip().rpartition(b"\n")[2].strip().lower().startswith(b"endsolid"):
             raise FormatError("does not end with endsolid: it is truncated")
+        if kind == "ply" and b"end_header" not in raw:  # meshio reads on without end
+            raise FormatError("has no end_header: it is truncated, or not a PLY file")
         mesh = read_vtu(path) if kind == "vtu" else _by_meshio(path, kind)
         found = _raw_triangles(mesh)
         if kind == "ply":
@@ -194,7 +197,8 @@ def _check(found: RawTriangles) -> None:
         raise FormatError("refers to vertices that it does not contain: it is damaged")
     not_finite = ~np.isfinite(points[corners]).all(axis=(1, 2))
     if not_finite.any():
-        raise FormatError(f"has {int(not_finite.sum())} triangles with coordinates that are not finite")
+        found = numbered(int(not_finite.sum()), "triangle")
+        raise FormatError(f"has {found} with coordinates that are not finite")
 
 
 # Reads vertices and faces of a Wavefront OBJ file; negative indices count back from the last vertex.

@@ -9,6 +9,7 @@ import hashlib
 import os
 import shutil
 import sys
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_LE
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,8 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Condition, Thread
+
+from granflow.errors import FileError
 
 # Atomic writes
 
@@ -261,8 +264,12 @@ def read_file(path: Path) -> bytes:
 
 def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced; raises as
-    `read_file`."""
-    return read_file(path).decode("utf-8-sig", errors="replace")
+    `read_file`. Raises FileError for UTF-16 and UTF-32, which spreadsheets write as "Unicode text"."""
+    raw = read_file(path)
+    if raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        encoding = "UTF-32" if raw.startswith(BOM_UTF32_LE) else "UTF-16"
+        raise FileError(f"{path}: the file is encoded in {encoding}; save it as UTF-8.")
+    return raw.decode("utf-8-sig", errors="replace")
 
 
 def file_digest(path: Path) -> str:

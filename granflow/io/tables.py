@@ -105,12 +105,15 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def read_table(path: Path) -> Table | None:
+def read_table(path: Path, is_header: Callable[[Sequence[str]], bool] | None = None) -> Table | None:
     """The table in a CSV file, UTF-8; None without a header.
 
-    Raises OSError if the file cannot be read, and FileError for a row that is not CSV.
+    With `is_header`, which accepts its names, the separator is any of SEPARATORS, otherwise a comma. Raises
+    OSError if the file cannot be read, and FileError for a row that is not CSV.
     """
-    return table_in(read_text(path), path)
+    if is_header is None:
+        return table_in(read_text(path), path)
+    return table_in(read_text(path), path, SEPARATORS, is_header)
 
 
 def table_in(

@@ -5,7 +5,7 @@ and the duration, and summaries of particle files. Resolving is idempotent. The 
 run and saved with it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from math import pi
 from pathlib import Path
@@ -366,22 +366,33 @@ def _with_columns(motion: TableMotion, path: Path) -> TableMotion:
 
     Raises OSError if the file cannot be read, and FileError for an invalid table.
     """
-    table = read_table(path)
+    table = read_table(path, lambda names: "times" in (keys := _motion_keys(names)) and len(keys) > 1)
     if table is None or not table.rows:
         raise FileError([f"{path}: the table has no rows; give a header such as time [s], displacement [m]."])
     columns = _motion_columns(path, table)
     if len(table.rows) > MOST_ROWS:
         raise FileError([f"{path}: the table has {len(table.rows)} rows, and the limit is {MOST_ROWS}."])
+    turns = any(key.startswith("ang") for key in columns)
+    if turns == (motion.direction is not None):
+        given, needed = ("direction", "point and axis") if turns else ("point and axis", "direction")
+        name = next(name for name, key in MOTION_KEYS.items() if key in columns and key != "times")
+        reason = f"{name} requires {needed}, but the motion has {given}; give {needed}"
+        raise FileError([f"{path}:{table.heading_line}: {reason}."])
     return motion.model_copy(update=dict.fromkeys(TABLE_COLUMNS) | columns)
+
+
+def _motion_keys(names: Sequence[str]) -> dict[str, int]:
+    """Keys of the motion and the columns that have them."""
+    keys = {MOTION_KEYS.get(UNIT.sub("", name).strip().lower()): index for index, name in enumerate(names)}
+    return {key: index for key, index in keys.items() if key is not None}
 
 
 def _motion_columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
     """Columns of the motion by key [SI]. Raises FileError for the header or the first invalid row."""
-    indices: dict[str, tuple[int, float]] = {}
-    for index, heading in enumerate(table.names):
-        key = MOTION_KEYS.get(UNIT.sub("", heading).strip().lower())
-        if key is not None:
-            indices[key] = index, unit_factor(path, table, index, MOTION_DIMENSIONS[key])
+    indices = {
+        key: (index, unit_factor(path, table, index, MOTION_DIMENSIONS[key]))
+        for key, index in _motion_keys(table.names).items()
+    }
     given = [name for name in TABLE_COLUMNS if name in indices]
     if "times" not in indices or len(given) != 1:
         unknown = next(

@@ -179,6 +179,7 @@ COUNTS = {
     "right.ply": (ply(3), None),
     "above.ply": (ply(4), "PLY|declares 4 faces"),
     "solid.obj": (FACET, "cannot be read as OBJ: line 1 begins with 'solid'"),
+    "header.ply": (ply(3)[:40], "has no end_header: it is truncated"),
 }
 
 

@@ -46,7 +46,7 @@ def test_a_sphere_follows_a_lifted_floor(taichi_f64):
     assert snapshots[-1].totals["kinetic_energy"] < 1e-6 * mass * GRAVITY * height
 
 
-FILE = "# recorded\ntime [ms], displacement [mm]\n0, 0\n10, 0.1\n20, 0.4\n50, 0.1\n"
+FILE = "# recorded\ntime [ms]; displacement [mm]\n0; 0\n10; 0,1\n20; 0,4\n50; 0,1\n"
 
 
 def saved_scene(folder, text=FILE):
@@ -85,6 +85,10 @@ def test_a_csv_file_is_read_with_its_units(tmp_path):
         ("time, velocity\n0, 1\n1, x\n", "lift.csv:3: a finite number is expected"),
         ("time, velocity\n0, 1\n2, 1\n2, 3\n", "lift.csv:4: times must ascend"),
         ("time, velocity\n0, 1\n", "lift.csv: the table must have at least two rows"),
+        (
+            "time, angle\n0, 0\n1, 1\n",
+            "lift.csv:1: angle requires point and axis, but the motion has direction",
+        ),
     ],
 )
 def test_invalid_files_are_refused_with_their_line(tmp_path, text, problem):

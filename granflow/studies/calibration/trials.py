@@ -73,6 +73,10 @@ CURVE_COLUMNS = ("time", "value")
 """Columns of a file with a curve."""
 
 
+def _is_curve(names: Sequence[str]) -> bool:
+    return {split_heading(name)[0] for name in names} >= set(CURVE_COLUMNS)
+
+
 def read_target(target: Target, folder: Path, position: str) -> Measured:
     """The target with its measured values; a curve is read from its file, relative to `folder`.
 
@@ -85,7 +89,7 @@ def read_target(target: Target, folder: Path, position: str) -> Measured:
     assert target.curve is not None
     path = folder / target.curve
     try:
-        table = read_table(path)
+        table = read_table(path, _is_curve)
     except OSError as error:
         raise FileError(
             f"{position}: curve is {target.curve}, but {path} cannot be read: {error.strerror}."
