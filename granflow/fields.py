@@ -1058,7 +1058,7 @@ WALL_FORCE_PARTS = PartQuantities(
 )
 CONTROLLED_WALL_PARTS = PartQuantities("wall moved by forces", WALL_QUANTITIES, "the name of a wall")
 WALL_FLOW_PARTS = PartQuantities(
-    "wall that gives heat to particles", WALL_FLOW_QUANTITIES, "the name of a wall"
+    "wall with a temperature or heat flux", WALL_FLOW_QUANTITIES, "the name of a wall"
 )
 WEAR_PARTS = PartQuantities("worn wall", WEAR_QUANTITIES, "the name of a wall")
 TIMING_PARTS = PartQuantities("phase", TIMING_QUANTITIES, "forces or another phase", lambda name: False)

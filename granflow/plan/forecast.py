@@ -539,6 +539,11 @@ def value_rows(
         yield ("run", "velocity_max"), given < SLOW * fall, text
 
     for path, interval in _output_intervals(scene):
+        text = (
+            f" is {interval:g} s, shorter than the time step of {plan.time_step:.3g} s: the output is "
+            "written after each step. Check the unit."
+        )
+        yield path, interval < plan.time_step, text
         for period, wall in _vibration_periods(scene).items():
             halves = round(2.0 * interval / period)
             is_odd = halves % 2 == 1 and abs(2.0 * interval / period / halves - 1.0) <= PERIOD_TOLERANCE

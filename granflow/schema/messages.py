@@ -255,7 +255,7 @@ def no_such(name: str, known: Iterable[str], kind: str) -> str:
     names = list(known)
     if suggestion := nearest(name, names):
         return f"there is no such {kind}. Did you mean {suggestion}?"
-    several = re.sub(r"^(.*?)(?= (?:of|with) |$)", r"\1s", kind, count=1)  # groups of particles
+    several = re.sub(r"^(.*?)(?= (?:of|with|moved) |$)", r"\1s", kind, count=1)  # groups of particles
     known_names = f"the {several} are {', '.join(names)}" if names else f"the scene has no {several}"
     return f"there is no such {kind}; {known_names}"
 

@@ -134,6 +134,8 @@ REPOSE = "output.metrics={heap: {kind: repose, surface: cone}}"
      [REPOSE, "expect=[{quantity: angle_of_repose.heap, between: [20, 30]}]"],
      [REPOSE, "expect=[{quantity: angle_of_repose.heap, between: [20 deg, 30 deg]}]"]),
     ("output.interval .* at most 0.05 s", ["output.interval=51 ms"], ["output.interval=50 ms"]),
+    ("output.timeseries_interval .* shorter than the time step", ["output.timeseries_interval=1 ns"],
+     ["output.timeseries_interval=1 ms"]),
     ("walls.part.to .* is 22 m, 550 times the longest side",
      wall("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 22], radius: 22 mm"), []),
     ("walls.part.radius_to .* 9 mm is 0.009 m",
