@@ -244,7 +244,8 @@ def heat_maps(table: ShownTable, points: Any) -> list[Plot]:
         for first, second in list(combinations(labels, 2))[:MOST_HEAT_MAPS]:
             if shown[first].nunique() * shown[second].nunique() > len(shown):
                 continue  # parameters that vary together
-            orders = {each: list(dict.fromkeys(shown[each])) for each in (first, second)}
+            levels = {each: list(dict.fromkeys(shown[each])) for each in (first, second)}
+            orders = {first: levels[first], second: levels[second][::-1]}  # of an axis y from its upper end
             figure = px.density_heatmap(
                 shown, x=first, y=second, z=quantity, histfunc="avg", category_orders=orders
             )

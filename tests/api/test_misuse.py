@@ -58,7 +58,9 @@ WRONG = {
     "function is 3, but must be a function of a snapshot": lambda _: gf.on_interval(1, 3),
     "must be a list of": lambda _: gf.Simulation(beads(), observers=gf.on_interval(1, seen)),
     "resume is 5, but must be a directory": lambda _: gf.Simulation(beads(), resume=5),
-    "scene is a dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation({"a": 1}),
+    "scene is of type dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation(
+        {"a": 1}
+    ),
     "count is nan, but must be a whole number": lambda s: s.step(float("nan")),
     "until is -1 s, but the simulation is at": lambda s: s.run(until=-1.0),
     "save needs an output directory": lambda s: s.save(),
