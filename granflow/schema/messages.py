@@ -59,7 +59,7 @@ def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
     if new := renamed(word, names):
         return f"{word} was renamed to {new}."
     match = nearest(word, names)
-    if match and (conversion := CONVERSIONS.get(_plain(word))):
+    if match and (conversion := CONVERSIONS.get((_plain(word), match))):
         return f"Give {match}{conversion}."
     if match:
         return f"Did you mean {match}?"
@@ -223,12 +223,12 @@ names here for the same or the nearest feature, in the order of preference."""
 
 
 CONVERSIONS = {
-    "bulkmodulus": ", 3 (1 - 2 poisson_ratio) times the bulk modulus",
-    "g": ", 2 (1 + poisson_ratio) times the shear modulus",
-    "rpm": " with its unit, such as 30 rpm",
-    "shearmodulus": ", 2 (1 + poisson_ratio) times the shear modulus",
+    ("bulkmodulus", "young_modulus"): ", 3 (1 - 2 poisson_ratio) times the bulk modulus",
+    ("g", "young_modulus"): ", 2 (1 + poisson_ratio) times the shear modulus",
+    ("rpm", "angular_velocity"): " with its unit, such as 30 rpm",
+    ("shearmodulus", "young_modulus"): ", 2 (1 + poisson_ratio) times the shear modulus",
 }
-"""What follows "Give KEY" for names in SYNONYMS whose number is another one than that of the key."""
+"""What follows "Give KEY" for names in SYNONYMS whose number is another one than that of their key."""
 
 
 def synonym(word: str, known: Iterable[str]) -> str | None:
@@ -428,6 +428,8 @@ class _SchemaError:
         if node.entries is not None and key in node.entries:
             return self._one_of((*self.path, key), names)
         if node.entries is not None:
+            if misnamed := next((each for each in node.entries if nearest(each, [key])), None):
+                return whole((*self.path, misnamed), f"is not a known key. Did you mean {key}?")
             return missing((*self.path, key), f"one of {', '.join(names)}")
         if key == "law":
             return self._one_of(self.path, names)

@@ -127,6 +127,8 @@ def test_scene_file_conforms_to_the_json_schema(scene):
     ("materials.glass.shear_modulus=4 MPa", "Give young_modulus, 2 (1 + poisson_ratio) times the shear modulus."),
     ("pairs.glass-glass={restitution: 0.9, friction:0.3}", "Write friction: 0.3, with a colon and a space"),
     ("boundary=p", "Did you mean domain?"),
+    ("g=[0, 0, -9.81]", "g is not a known key. Did you mean gravity?"),
+    ("walls.floor={type: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}", "type is not a known key. Did you mean shape?"),
     ("contact.tangential=linear_history", "linear_history requires stiffness, such as {law: linear_history, sti"),
     ("contact.normal=jkr", "jkr is given as contact.cohesion: jkr"),
     ("pairs.glass-glass={restitution: 0.9, friction: 0,3}", "Numbers have a decimal point, not a comma"),
