@@ -163,6 +163,7 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "insertrateregion": ("rain",),
     "insertstream": ("inlet",),
     "jkr": ("cohesion",),
+    "kfinnie": ("coefficient",),
     "lessthan": ("below",),
     "lsd": ("linear",),
     "mat": ("material",),
@@ -225,6 +226,7 @@ names here for the same or the nearest feature, in the order of preference."""
 CONVERSIONS = {
     ("bulkmodulus", "young_modulus"): ", 3 (1 - 2 poisson_ratio) times the bulk modulus",
     ("g", "young_modulus"): ", 2 (1 + poisson_ratio) times the shear modulus",
+    ("kfinnie", "coefficient"): " and hardness, whose quotient is k_finnie",
     ("rpm", "angular_velocity"): " with its unit, such as 30 rpm",
     ("shearmodulus", "young_modulus"): ", 2 (1 + poisson_ratio) times the shear modulus",
 }
