@@ -197,8 +197,8 @@ def _check(found: RawTriangles) -> None:
         raise FormatError("refers to vertices that it does not contain: it is damaged")
     not_finite = ~np.isfinite(points[corners]).all(axis=(1, 2))
     if not_finite.any():
-        found = numbered(int(not_finite.sum()), "triangle")
-        raise FormatError(f"has {found} with coordinates that are not finite")
+        triangles = numbered(int(not_finite.sum()), "triangle")
+        raise FormatError(f"has {triangles} with coordinates that are not finite")
 
 
 # Reads vertices and faces of a Wavefront OBJ file; negative indices count back from the last vertex.
