@@ -356,9 +356,11 @@ class Engine:
 
         The first call also shifts velocities half a step back, as the leapfrog scheme requires. If a wall
         appears between particles, or disappears, the energy of its contacts counts as inserted or removed;
-        after a change of the particles, the change of all energies.
+        after a change of the particles, the change of all energies, without that of the particles which the
+        rebuild deletes.
         """
         before = self.energy_before_change
+        removed_before = self.accounting.removed_energy
         stored_energy = self.stored_energy
         if before is None and self.plan.features.energy_budget and self._walls_changed:
             before = self._contact_energy()
@@ -372,6 +374,8 @@ class Engine:
             self._stopping_change = None
         self._walls_appeared.clear()
         if before is not None:
+            if self.energy_before_change is not None:
+                before -= self.accounting.removed_energy - removed_before
             self.accounting.inserted_energy += stored_energy() - before
         self._walls_changed = False
         self.energy_before_change = None

@@ -1,5 +1,6 @@
 """Particles at the start of a run: from the scene, an earlier run or arrays; none for a resumed run."""
 
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +156,7 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     if other_clumps:
         raise SceneError(other_clumps)
     _refuse_other_widths(scene, before, checkpoint, location)
+    _refuse_displaced_images(scene, before, checkpoint, location)
     stage_times = checkpoint.saved["stage_progress"]["stage_times"]
     gravity = before.gravity_course(stage_times).at(np.array([checkpoint.time]))[0]
     found = {
@@ -209,6 +211,26 @@ def _refuse_other_widths(scene: Scene, before: Scene, checkpoint: Checkpoint, lo
         f"{location} its box has deformed, and its particles need the domain {{min: [{next(corners)}], max: "
         f"[{next(corners)}]}}; give these numbers, and insert: {{kind: python}} to groups whose region is "
         "then not in the domain: their particles are those of the earlier run."
+    )
+
+
+def _refuse_displaced_images(scene: Scene, before: Scene, checkpoint: Checkpoint, location: str) -> None:
+    """Raise SceneError if the images of a sheared box are displaced at the end of an earlier run: those of a
+    new run are not, so that particles at the faces would have other neighbors."""
+    motion = before.domain.periodic_box().image_motion
+    if motion is None or AXES[motion.gradient] not in scene.domain.periodic:
+        return
+    box = before.domain.periodic_box().at(checkpoint.time)
+    smallest = 0.5 * min(group.diameters[0] for group in before.particles.values())
+    in_a_step = abs(motion.speed) * checkpoint.saved["engine"]["clock"]["time_step"]
+    if abs(box.offset) <= WIDTH_TOLERANCE * smallest + in_a_step:
+        return
+    period = float(box.width[motion.flow]) / abs(motion.speed)
+    aligned = motion.start + ceil((checkpoint.time - motion.start) / period) * period
+    raise SceneError(
+        f"{location} at {checkpoint.time:.6g} s the images of its sheared box are displaced by "
+        f"{box.offset:.4g} m along {AXES[motion.flow]}, and those of a new run are not; end the earlier run "
+        f"when they are aligned, such as at {aligned:.9g} s."
     )
 
 

@@ -115,6 +115,8 @@ class RunState:
         progress = self.progress
         engine = self.engine
         if stage.delete:
+            if engine.is_changed:  # particles that a program has removed are counted already
+                engine.refresh()
             _warn_of_no_particles(stage, "delete", engine.delete(stage.name), engine)
         progress.begin(stage, engine.time)
         engine.begin_stage(stage.name, engine.plan.scene.gravity_course(progress.stage_times))

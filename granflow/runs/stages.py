@@ -211,15 +211,17 @@ class StageConditions:
         self.last_row = time
         self.met = None
 
-    def add_row(self, scene: Scene, stage: Stage, began: float, row: Row) -> None:
+    def add_row(self, scene: Scene, stage: Stage, began: float, row: Row, time_step: float) -> None:
         """Evaluate the conditions with a row of the time series; `began` [s]: start of the stage.
 
         A row whose predecessor is before `began` contains means over a part of the previous stage and does
-        not count. Raises GranflowError for a quantity that the row lacks.
+        not count. A row is up to one `time_step` [s] later than it is due; the time between the due times of
+        two rows counts. Raises GranflowError for a quantity that the row lacks.
         """
         if self.met is not None or not stage.until or row.time_before < began * (1.0 - ROUNDING):
             return
         time = self.last_row = row.time
+        delay = (1.0 - ROUNDING) * time_step
         for index, condition in enumerate(stage.until):
             if condition.quantity not in row.numbers:
                 raise GranflowError(
@@ -227,10 +229,10 @@ class StageConditions:
                     f"{condition.quantity}; the columns are {', '.join(row.numbers)}."
                 )
             value = row.numbers[condition.quantity]
-            holds = condition.is_met(value) and time >= (began + stage.min_duration) * (1.0 - ROUNDING)
+            holds = condition.is_met(value) and time >= began + stage.min_duration - delay
             self.values[index] = value
             self.since[index] = min(self.since[index], time) if holds else inf
-            if holds and time - self.since[index] >= condition.hold * (1.0 - ROUNDING) and self.met is None:
+            if holds and time - self.since[index] >= condition.hold - delay and self.met is None:
                 self.met = index
 
     def log_end(self, scene: Scene, stage: Stage, time: float) -> None:

@@ -194,8 +194,9 @@ class TimeLoop:
         if not progress.conditions.since or progress.has_ended(progress.stage):
             return
         if (row := self.state.observers.row_at(self.engine.time)) is not None:
+            began = progress.stage_times[progress.stage][0]
             progress.conditions.add_row(
-                self.engine.plan.scene, self._stage, progress.stage_times[progress.stage][0], row
+                self.engine.plan.scene, self._stage, began, row, self.engine.time_step
             )
 
     def notify_all(self, quantities: frozenset[str]) -> None:

@@ -17,14 +17,15 @@ START = [[0.0, 0.0, 0.1], [0.05, 0.0, 0.1], [0.1, 0.0, 0.1]]
 @pytest.fixture
 def simulation(taichi_f64):
     """Three particles of two groups in gravity, and a group of another material and size; friction, so that
-    particles rotate."""
+    particles rotate; an outlet far away."""
     groups = {
         "feed": particle_group(START[:2]),
         "rest": particle_group(START[2:]),
         "other": particle_group([[0.3, 0.3, 0.3]], material="steel", diameter=0.02),
     }
     parts = {"gravity": [0.0, 0.0, -GRAVITY], "pair": {"friction": 0.3}, "run": {"duration": 0.1}}
-    scene = build_scene(groups, output={"interval": 0.1, "energy_budget": True}, **parts)
+    sink = {"sink": {"box": {"min": [-0.9] * 3, "max": [-0.8] * 3}}}
+    scene = build_scene(groups, output={"interval": 0.1, "energy_budget": True}, outlets=sink, **parts)
     with gf.Simulation(scene) as simulation:
         yield simulation
 
@@ -73,11 +74,12 @@ def test_budget_closes_with_all_changes(simulation):
     particles.diameter[:] = 0.011
     particles.add([[0.2, 0.0, 0.0]], diameter=0.012, group="feed", velocity=[0.0, 0.0, 1.0])
     particles.remove([2])
+    particles.position[2] = [-0.85, -0.85, -0.85]  # into the outlet, which deletes it before the next step
     before = particles.id[:]
     simulation.run(duration=2e-3)
     totals = simulation.snapshot().totals
-    assert abs(totals["energy_error"]) < 1e-9 and totals["particle_count"] == 4
-    assert totals["inserted_count"] == 5 and totals["deleted_count"] == 1
+    assert abs(totals["energy_error"]) < 1e-9 and totals["particle_count"] == 3
+    assert totals["inserted_count"] == 5 and totals["deleted_count"] == 2
     np.testing.assert_array_equal(before, [0, 1, 3, 4])
     energies = totals["kinetic_energy"] + totals["rotational_energy"] + totals["gravitational_energy"]
     assert energies == pytest.approx(-totals["removed_energy"], rel=1e-9)

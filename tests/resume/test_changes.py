@@ -17,7 +17,12 @@ from granflow.errors import GranflowError, SceneError
 from granflow.io.checkpoint import newest_checkpoint
 from granflow.load import scene_of
 from granflow.particles.insertion import initial_particles
-from granflow.runs.initial_particles import _refuse_other_widths, particles_from_run, refuse_other_particles
+from granflow.runs.initial_particles import (
+    _refuse_displaced_images,
+    _refuse_other_widths,
+    particles_from_run,
+    refuse_other_particles,
+)
 from granflow.runs.resume import accepted_change, differences, forbidden
 
 STAGES = [{"name": "hold", "duration": 0.02}, {"name": "fall", "duration": 0.02}]
@@ -236,6 +241,30 @@ def test_start_from_requires_the_last_widths_of_a_deforming_box():
     with pytest.raises(SceneError, match=r"max: \[0\.0196, 0\.0196, 0\.0196\]\}; give these"):
         _refuse_other_widths(scene(0.01963), scene(0.02), saved, "start_from is x, but")
     _refuse_other_widths(scene(0.0196001), scene(0.02), saved, "start_from is x, but")
+
+
+def test_start_from_requires_aligned_images_of_a_sheared_box():
+    """Images that move at 10/s times 20 mm begin at 10 ms: at 0.03 s they are displaced by 4 mm, and at 0.11 s by the
+    width of the box, but for one time step. Without periodic boundaries there are no images."""
+
+    def scene(**domain):
+        domain = {"min": [0.0] * 3, "max": [0.02] * 3, "on_exit": "error"} | domain
+        return build_scene({"ball": particle_group([[0.01, 0.01, 0.01]], 0.002)}, domain=domain)
+
+    def refuse(time, scene):
+        saved = {"engine": {"clock": {"time_step": 1e-4}}}
+        _refuse_displaced_images(
+            scene, before, SimpleNamespace(time=time, saved=saved), "start_from is x, but"
+        )
+
+    periodic = scene(periodic=["x", "y", "z"])
+    shear = {"flow": "x", "gradient": "z", "rate": 10.0, "start": 0.01}
+    before = scene(periodic=["x", "y", "z"], lees_edwards=shear)
+    with pytest.raises(SceneError, match=r"displaced by 0\.004 m along x, .* such as at 0\.11 s\.$"):
+        refuse(0.03, periodic)
+    refuse(0.11 + 0.9e-4, periodic)
+    refuse(0.005, periodic)
+    refuse(0.03, scene())
 
 
 def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):

@@ -46,14 +46,17 @@ def first_stage(scene):
 
 
 def test_the_hold_of_a_condition_begins_again_after_a_row_without_it():
-    """Met from 1 to 2 ms, not at 3 ms, met from 4 ms: a hold of 2 ms ends at 6 ms, not at 4 ms."""
+    """Met from 1 to 2 ms, not at 3 ms, met from 4 ms: a hold of 2 ms ends at 6 ms, not at 4 ms. Rows are late by up to
+    one time step, so that the last two are 1.9 ms apart."""
+    time_step = 1e-4
     scene = press({"quantity": "wall_force_z.lid", "above": 1.0, "hold": 2e-3})
     stage, conditions = scene.stages[0], StageConditions()
     conditions.begin(stage, 0.0)
     ended = []
     for k, force in enumerate([0.0, 2.0, 2.0, 0.5, 2.0, 2.0, 2.0]):
-        row = Row(time=k * 1e-3, time_before=max(k - 1, 0) * 1e-3, numbers={"wall_force_z.lid": force})
-        conditions.add_row(scene, stage, 0.0, row)
+        late = 0.9 * time_step if k == 4 else 0.0
+        row = Row(time=k * 1e-3 + late, time_before=max(k - 1, 0) * 1e-3, numbers={"wall_force_z.lid": force})
+        conditions.add_row(scene, stage, 0.0, row, time_step)
         ended.append(conditions.met is not None)
     assert ended == [False] * 6 + [True]
 
