@@ -85,6 +85,8 @@ class Snapshot:
                 "particle" and a "wall"; empty without `output.collision_energies`
     wear:       worn volume [m3], normal and tangential work [J] since the start (k, 3) of each worn wall: of
                 each triangle of a mesh; one row for a wall of another shape
+    removed:    `id` (k,) of the particles that stages or a program have removed since the start, and their
+                `position` (k, 3) [m] then
 
     All arrays and mappings are read-only; an unknown name raises KeyError with those that exist.
 
@@ -103,6 +105,7 @@ class Snapshot:
     impulses: Mapping[str, np.ndarray] = field(default_factory=dict)
     collisions: Mapping[str, np.ndarray] = field(default_factory=dict)
     wear: Mapping[str, np.ndarray] = field(default_factory=dict)
+    removed: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particles", _read_only_arrays("particles", self.particles))
@@ -113,6 +116,7 @@ class Snapshot:
         object.__setattr__(self, "impulses", _read_only_arrays("impulses", self.impulses))
         object.__setattr__(self, "collisions", _read_only_arrays("collisions", self.collisions))
         object.__setattr__(self, "wear", _read_only_arrays("wear", self.wear))
+        object.__setattr__(self, "removed", _read_only_arrays("removed", self.removed))
 
     @property
     def is_finite(self) -> bool:

@@ -515,7 +515,7 @@ class Engine:
         )
         wear = wall_wear(self.state)
         totals |= wear_totals(self.state, wear)
-        since_start = wall_impulses(self.state), collision_counts(self.state), wear
+        since_start = wall_impulses(self.state), collision_counts(self.state), wear, self.accounting.removed
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, *since_start)
 
     def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:

@@ -58,6 +58,8 @@ class Accounting:
     removed_kinetic_energy:  translational and rotational part of it [J]
     material, group:         lists of integer arrays (k,), numbers of the scene, concatenated at first use
     insertion_time:          likewise, float64 [s]
+    removed:                 `id` (k,) of the particles that stages or a program have removed, and their
+                             `position` (k, 3) [m] then, of clumps that of the center of mass
     """
 
     inserted_count: int = 0
@@ -80,6 +82,9 @@ class Accounting:
     material: list[np.ndarray] = field(default_factory=list)
     group: list[np.ndarray] = field(default_factory=list)
     insertion_time: list[np.ndarray] = field(default_factory=list)
+    removed: dict[str, np.ndarray] = field(
+        default_factory=lambda: {"id": np.empty(0, np.int64), "position": np.empty((0, 3))}
+    )
 
     def insert(self, material: np.ndarray, group: np.ndarray, time: float, energy: float) -> None:
         """Record particles inserted at `time` [s]: materials and groups (k,), mechanical energy [J]."""
@@ -122,11 +127,19 @@ class Accounting:
                 name = equation.content_change(change).name
                 self.contents[name] += _content(plan, equation, capacity, arrays)
 
-    def count_removed(self, mass: np.ndarray) -> None:
-        """Count particles with these masses (k,) [kg] that are removed from Python.
+    def record_removed(self, ids: np.ndarray, position: np.ndarray) -> None:
+        """Record the ids (k,) and positions (k, 3) [m] of removed particles, in the order of the ids."""
+        order = np.argsort(ids)
+        new = {"id": ids[order].astype(np.int64), "position": position[order].astype(np.float64)}
+        self.removed = {name: np.concatenate([self.removed[name], new[name]]) for name in new}
+
+    def count_removed(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Count particles that are removed from Python; arrays: as for `deleted_fields`.
 
         The change of `Engine.stored_energy` contains their energy.
         """
+        mass = arrays["mass"]
+        self.record_removed(arrays["id"], body_positions(arrays))
         self.deleted_count += len(mass)
         self.deleted_mass += exact_sum(mass)
 
@@ -144,14 +157,14 @@ class Accounting:
         return parts[0][ids] if parts else np.zeros(len(ids), BY_ID[name])
 
     def state_dict(self) -> dict[str, Any]:
-        """Numbers, BY_NAME, and BY_ID (inserted_count,), for checkpoints."""
+        """Numbers, BY_NAME, the removed particles, and BY_ID (inserted_count,), for checkpoints."""
         ids = np.arange(self.inserted_count)
         by_id = {name: self.by_id(name, ids) for name in BY_ID}
-        return {name: getattr(self, name) for name in (*SAVED_NUMBERS, *BY_NAME)} | by_id
+        return {name: getattr(self, name) for name in (*SAVED_NUMBERS, *BY_NAME, "removed")} | by_id
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore a state of `state_dict`."""
-        for name in (*SAVED_NUMBERS, *BY_NAME):
+        for name in (*SAVED_NUMBERS, *BY_NAME, "removed"):
             setattr(self, name, saved[name])
         for name in BY_ID:
             setattr(self, name, [saved[name]])
@@ -715,6 +728,7 @@ def account_deleted(
     if aborts.any():
         state.control.abort[0] = ABORT_LEFT_DOMAIN
         state.control.abort_particle[0] = int(arrays["id"][aborts].min())
+    accounting.record_removed(arrays["id"][removed], position[removed])
     accounting.delete(arrays, outlet_index, np.array(state.plan.scene.gravity_at_start))
     accounting.change_contents(state.plan, "deleted", arrays)
     accounting.count_exits(_exit_faces(state.plan, position[left_domain]))

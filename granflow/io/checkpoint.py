@@ -39,7 +39,7 @@ class DamagedCheckpoint(CheckpointError):
     """A checkpoint whose bytes differ from those written; the previous checkpoint replaces it."""
 
 
-FORMAT = 15
+FORMAT = 16
 """Version of the content of a checkpoint. Files of other versions are refused."""
 PATTERN = "checkpoint_*.npz"
 """Names of checkpoint files; the number is the step, with leading zeros, so that names sort by time."""

@@ -17,7 +17,7 @@ from granflow.arguments import shown
 from granflow.engine.engine import Engine
 from granflow.engine.host import present_indices, remove_particles, write_particles
 from granflow.engine.settings import set_property
-from granflow.engine.totals import content_fields
+from granflow.engine.totals import content_fields, deleted_fields
 from granflow.errors import GranflowError
 from granflow.geometry.sphere import sphere_mass
 from granflow.particles.group import ParticleData, SceneGroup
@@ -349,7 +349,8 @@ class LiveParticles:
         if np.size(removed):
             engine.begin_change()
             removed = self._with_clumps(np.unique(removed), indices)
-            engine.accounting.count_removed(self._masses(removed))
+            arrays = engine.copied(deleted_fields(engine.plan))
+            engine.accounting.count_removed({name: values[removed] for name, values in arrays.items()})
             self._count_contents("deleted", removed)
             remove_particles(engine.state, removed)
 
@@ -394,9 +395,6 @@ class LiveParticles:
                 f"particles.{name}: sphere {ids[k]} would have {values[k]:.6g}, and sphere {clump[k]} of the "
                 f"same clump {first[k]:.6g}; give all spheres of a clump the same {name}."
             )
-
-    def _masses(self, indices: np.ndarray) -> np.ndarray:
-        return self._engine.copied(("mass",))["mass"][indices]
 
     def _field(self, name: str) -> np.ndarray:
         """A particle field in the order of ids."""

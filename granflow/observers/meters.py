@@ -307,6 +307,7 @@ class FlowCounter:
       projection within the disc or rectangle, and could reach the plane: it was deleted before it could be
       sampled on the far side. It could if v T + g T^2 / 2 + R is at least its distance, with its velocity v
       toward the plane and the interval T of the samples. One that is deleted farther away has left otherwise.
+    - The line of a particle that a stage or a program has removed since ends where it was then.
     - In a periodic box the line ends at an image, see `_crossed`, so that a wrapped particle does not count
       as backward.
     - A particle that is first sampled on the far side does not count.
@@ -351,7 +352,8 @@ class FlowCounter:
             flow_count.begin_sample(snapshot.stage, replaces_last)
         self.passages = None
         if self._last is not None:
-            self.passages = joined([self._crossed(self._last, now), self._deleted(self._last, now)])
+            until = self._with_removed(self._last, now, snapshot.removed)
+            self.passages = joined([self._crossed(self._last, until), self._deleted(self._last, until)])
             self._count(self.passages)
         self._last = now
         for flow_count in self.flow_counts().values():
@@ -423,6 +425,17 @@ class FlowCounter:
             return np.asarray(np.linalg.norm(offset, axis=1) <= self.radius)
         share = offset @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
         return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
+
+    def _with_removed(self, last: _Sample, now: _Sample, removed: Mapping[str, np.ndarray]) -> _Sample:
+        """The sample `now` with those particles of the last one that have been removed since, where they were
+        then; `removed`: as in a snapshot."""
+        if not len(removed.get("id", ())):
+            return now
+        _, row, found = np.intersect1d(last.particles["id"], removed["id"], return_indices=True)
+        ended = {name: values[row] for name, values in last.particles.items()}
+        ended["position"] = removed["position"][found]
+        both = {name: np.concatenate([values, ended[name]]) for name, values in now.particles.items()}
+        return self._sample_of(now.time, both)
 
     def _deleted(self, last: _Sample, now: _Sample) -> Passages:
         """Forward passages of particles in the last sample only, in front of the disc or rectangle.

@@ -90,7 +90,7 @@ class TimeLoop:
         for stage in self.engine.plan.stages:
             if progress.has_ended(stage.name):
                 continue
-            if self.engine.time < end:
+            if not self.engine.reached(end):
                 self._run_stage(stage, end)
             if not progress.has_ended(stage.name):
                 break  # at `end`, from which the time may differ by half a step

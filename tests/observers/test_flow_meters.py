@@ -59,6 +59,16 @@ def test_crossings_are_counted_by_their_direction_within_the_radius(radius, samp
     assert measured(down(radius), *samples) == expected
 
 
+def test_a_removed_particle_has_passed_if_it_was_beyond_the_plane():
+    """All three vanish, after they were just before the plane. The outlets have deleted the first one; a stage or a
+    program has removed the others before and behind the plane."""
+    meter = down()
+    removed = {"id": np.array([2, 1]), "position": np.array([[2.0, 0.0, 0.9], [1.0, 0.0, 1.05]])}
+    for snapshot in falling([{0: (0, 0, 1.1), 1: (1, 0, 1.1), 2: (2, 0, 1.1)}, {}, {}]):
+        meter.update(replace(snapshot, removed=removed if snapshot.time else {}))
+    assert (meter.total.mass, meter.total.count) == (2.0**0 + 2.0**2, 2)
+
+
 def test_steady_flow_ignores_start_end_and_other_stages():
     filling = [(float(t), "fill", 0.0) for t in range(3)]
     times = np.arange(2.1, 8.0, 0.1)
