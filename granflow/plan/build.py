@@ -32,6 +32,7 @@ from granflow.plan.limits import (
     refuse_narrow_box,
     resolution_warning,
     share_of,
+    slow_motion_warning,
 )
 from granflow.plan.pair_case import PairCase
 from granflow.plan.pairs import (
@@ -186,7 +187,12 @@ def _time_step(
     precision = scene.run.precision
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     reach = farthest if precision == "f32" else diameter
-    return replace(step, warnings=step.warnings + resolution_warning(pair_cases, velocity, precision, reach))
+    warnings = (
+        *step.warnings,
+        *resolution_warning(pair_cases, velocity, precision, reach),
+        *slow_motion_warning(precision, farthest, step.value, velocity),
+    )
+    return replace(step, warnings=warnings)
 
 
 def _adaptive_time_step(

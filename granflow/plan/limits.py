@@ -251,6 +251,32 @@ def resolution_warning(
     )
 
 
+SLOWEST_SHARE = 0.01
+"""Largest speed below which particles do not move, over the impact velocity, without a warning."""
+
+
+def slow_motion_warning(
+    precision: str, farthest: float, time_step: float, velocity: float
+) -> tuple[str, ...]:
+    """A warning if positions in f32 at `farthest` [m] are too coarse for the motion in one step.
+
+    A position x changes by v dt, rounded to multiples of its spacing: below half of it, that is at a speed
+
+        v < spacing(x) / (2 dt),
+
+    a particle does not move, and above it its mean speed is a multiple of spacing / dt. Empty if this speed
+    is below SLOWEST_SHARE of the impact `velocity` [m/s].
+    """
+    slowest = 0.5 * spacing_at(precision, farthest) / time_step
+    if precision != "f32" or slowest <= SLOWEST_SHARE * velocity:
+        return ()
+    return (
+        f"f32 resolves positions to {spacing_at(precision, farthest):.2g} m at {farthest:.3g} m from the "
+        f"origin: particles slower than {slowest:.2g} m/s do not move there in a time step of "
+        f"{time_step:.2g} s. Use --precision mixed.",
+    )
+
+
 def refuse_coarse_liquid(scene: Scene, transfers_liquid: bool) -> None:
     """Raise SceneError if a model transfers liquid in another precision than f64."""
     if transfers_liquid and scene.run.precision != "f64":

@@ -63,9 +63,9 @@ def test_skin_above_twenty_radii_is_rejected():
         plan_for(scene(numerics={"skin": 0.101}))
 
 
-def planned(edge, precision, on_exit):
+def planned(edge, precision, on_exit="error", **run):
     domain = {"min": [0.0] * 3, "max": [0.1, 0.1, edge], "on_exit": on_exit}
-    run = {"duration": 0.1, "precision": precision}
+    run = {"duration": 0.1, "precision": precision} | run
     return plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, domain=domain, run=run))
 
 
@@ -79,3 +79,14 @@ def test_spacing_above_a_tenth_of_the_smallest_radius_is_rejected(precision, edg
     planned(edge, precision, on_exit)
     with pytest.raises(SceneError, match=f"resolves positions only to 0.000977 m .*{advice}"):
         planned(1.001 * edge, precision, on_exit)
+
+
+def test_motion_that_f32_does_not_resolve_in_one_step_is_reported():
+    """The spacing is 2^-23 m from 1 m up to 2 m, not included: in 1 us, particles below 2^-24 m / 1 us = 0.06 m/s
+    stand still."""
+    steps = {"velocity_max": 5.0, "time_step": 1e-6}
+    (warning,) = (each for each in planned(1.99, "f32", **steps).warnings if "do not move" in each)
+    assert "slower than 0.06 m/s do not move there" in warning
+    fast = planned(1.99, "f32", **steps | {"velocity_max": 7.0})
+    assert not any("do not move" in each for each in fast.warnings)
+    assert not any("do not move" in each for each in planned(1.99, "mixed", **steps).warnings)
