@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from api.scenes import beads
-from resume.runs import delete
 
 import granflow as gf
 from granflow.io.checkpoint import checkpoint_at
@@ -99,33 +98,34 @@ def test_a_run_is_unfinished_until_its_end_and_replaced_only_on_request(taichi_f
     assert gf.read_run(tmp_path).time < 0.0011
 
 
-@pytest.mark.parametrize("loss", ["deleted", "disk full"])
+@pytest.mark.parametrize("loss", ["replaced", "disk full"])
 def test_a_failed_observer_is_named_although_no_checkpoint_can_be_written(
     taichi_f64, tmp_path, monkeypatch, loss
 ):
-    out = tmp_path / "out"
+    out, moved = tmp_path / "out", tmp_path / "moved"
 
     def full(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def fail():
-        if loss == "deleted":
-            delete(out)
+        if loss == "replaced":
+            out.rename(moved)
+            out.mkdir()
         else:
             monkeypatch.setattr(CheckpointWriter, "write", full)
         raise ValueError("user bug")
 
     simulation = gf.Simulation(scene(), out=out, observers=[once(fail, 0.001)])
-    reason = "moved or deleted during the run" if loss == "deleted" else "No space left on device"
+    reason = "another directory has replaced" if loss == "replaced" else "No space left on device"
     message = (
         rf"observe failed at 0\.001\S* s: ValueError: user bug. No checkpoint .* can be written: .*{reason}"
     )
     with pytest.raises(gf.FunctionError, match=message) as failed:
         simulation.run()
     simulation.free()
-    if loss == "deleted":
-        assert f"granflow resume {out} continues from 0 s" in str(failed.value)
-        assert checkpoint_at(out).time == 0.0
+    if loss == "replaced":
+        assert f"granflow resume {moved} continues from 0 s" in str(failed.value)
+        assert checkpoint_at(moved).time == 0.0 and not list(out.iterdir())
 
 
 UNCLOSED = """
