@@ -6,9 +6,11 @@ import meshio
 import numpy as np
 import pytest
 from geometry.meshes import sheet, write
-from scene_builders import SOFT, build_scene, particle_group, run_to_end
+from scene_builders import SOFT, build_scene, particle_group, plane, run_to_end
 
 import granflow as gf
+from granflow.plan.arrays import structure_of
+from granflow.plan.build import plan_for
 
 RADIUS = 0.005
 MASS = 4.0 / 3.0 * np.pi * RADIUS**3 * SOFT["density"]
@@ -131,3 +133,13 @@ def test_finnie_integrates_over_the_angles_of_an_impact(worn, triangle_angle):
     below = centers[:, 1] < centers[:, 0]
     depth = frame.cell_data["wear_depth"][0][of_coarse][below == (triangle_angle == ANGLES[0])]
     assert depth * (0.5 * 0.4**2) == pytest.approx(expected, rel=3e-3)
+
+
+def test_laws_of_wear_belong_to_the_structure():
+    """A later run of the same process takes the kernels of a run of equal structure."""
+    groups = {"glass": particle_group([[0, 0, RADIUS]], 2 * RADIUS)}
+    found = [
+        structure_of(plan_for(build_scene(groups, {"floor": plane([0, 0, 0], [0, 0, 1], wear=wear)})))
+        for wear in (ARCHARD, ARCHARD | {"coefficient": 2e-3}, {"law": "relative"})
+    ]
+    assert found[0] == found[1] != found[2]
