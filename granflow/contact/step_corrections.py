@@ -75,6 +75,27 @@ exactly at a time level has no force there, and the overlap of the next level is
 rounding."""
 
 
+@ti.func
+def share_in_contact(overlap, rate, time_step):
+    """Share of the step around the time level during which the surfaces are in contact, for a force that does
+    not begin at 0.
+
+        (d + h/2) / h    in the step of first contact or separation, d < h = |d'| dt;    else 1
+
+    In the first step it also covers the time since first contact, so that it is between 1/2 and 3/2. The
+    force changes d', so that a step too many has a share if the separation is close to a time level.
+    """
+    travel = ti.abs(rate) * time_step
+    partial = (travel > 0.0) & (overlap <= TOUCHING * travel)
+    return ti.select(partial, overlap / ti.select(partial, travel, 1.0) + 0.5, 1.0)
+
+
+def reference_share_in_contact(overlap: float, rate: float, time_step: float) -> float:
+    """Reference implementation of `share_in_contact` in numpy."""
+    travel = abs(rate) * time_step
+    return overlap / travel + 0.5 if 0.0 < overlap <= TOUCHING * travel else 1.0
+
+
 def build_step_mean(power: float) -> Any:
     """Device function (overlap, rate, time_step) -> (overlap_at, weight): mean of d^power over the step, 0
     for d < 0.

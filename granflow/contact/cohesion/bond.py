@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from granflow.contact.law import CohesionLaw, ContactState, HistoryField
+from granflow.contact.step_corrections import reference_share_in_contact, share_in_contact
 from granflow.device_functions import ti
 
 
@@ -60,8 +61,10 @@ class BondLaw(CohesionLaw):
 
     @ti.func
     def force(self, constants, contact, history):
-        """Attraction [N] of the bond, and its history."""
+        """Attraction [N] of the bond, and its history; a bond that forms acts since first contact."""
         history_new = history
+        since_contact = share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
+        share = ti.select(history.bonded > 0.0, 1.0, since_contact)
         holds = contact.overlap > -self.rupture_distance(constants, contact)
         bonded = ti.select(contact.overlap > 0.0, 1.0, ti.select(holds, history.bonded, 0.0))
         if ti.static(self.energy_budget):
@@ -70,7 +73,7 @@ class BondLaw(CohesionLaw):
             formation_energy = -self.bond_energy(constants, at_overlap(contact, 0.0 * contact.overlap))
             history_new.lost += formed * formation_energy + broken * self.rupture_energy(constants, contact)
         history_new.bonded = bonded
-        return bonded * self.bond_attraction(constants, contact), history_new
+        return share * bonded * self.bond_attraction(constants, contact), history_new
 
     @ti.func
     def stored_energy(self, constants, contact, history):
@@ -96,8 +99,9 @@ class BondLaw(CohesionLaw):
         """Reference implementation of `force` without the lost energy."""
         attraction, distance = self.reference_bond(contact)
         before = getattr(contact.history, "bonded", 0.0)
-        if contact.overlap > 0.0:
-            bonded = 1.0
-        else:
+        if contact.overlap <= 0.0:
             bonded = before if contact.overlap > -distance else 0.0
-        return bonded * attraction, {"bonded": bonded}
+            return bonded * attraction, {"bonded": bonded}
+        if before == 0.0:
+            attraction *= reference_share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
+        return attraction, {"bonded": 1.0}

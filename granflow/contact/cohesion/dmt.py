@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from granflow.contact.law import CohesionLaw, ContactModel, ContactState, WorkOfAdhesion
 from granflow.contact.material import PairMaterial
+from granflow.contact.step_corrections import reference_share_in_contact, share_in_contact
 from granflow.device_functions import ti
 
 
@@ -28,8 +29,9 @@ class Dmt(CohesionLaw):
 
     @ti.func
     def force(self, constants, contact, history):
-        """Attraction 2 pi w R [N]."""
-        return self.attraction(constants, contact), history
+        """Attraction 2 pi w R [N], in the steps of first contact and separation for a part of the step."""
+        share = share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
+        return share * self.attraction(constants, contact), history
 
     @ti.func
     def stored_energy(self, constants, contact, history):
@@ -38,7 +40,8 @@ class Dmt(CohesionLaw):
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force`."""
-        return 2.0 * math.pi * contact.radius_eff * contact.constants.work_of_adhesion, {}
+        share = reference_share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
+        return share * 2.0 * math.pi * contact.radius_eff * contact.constants.work_of_adhesion, {}
 
     def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float:
         """Pull-off force [N], 2 pi w R."""

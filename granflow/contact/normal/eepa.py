@@ -41,9 +41,10 @@ from granflow.contact.law import (
 from granflow.contact.material import PairMaterial
 from granflow.contact.normal.linear import SpringValue
 from granflow.contact.step_corrections import (
-    TOUCHING,
     build_step_mean,
+    reference_share_in_contact,
     reference_step_mean,
+    share_in_contact,
 )
 from granflow.device_functions import power, ti
 from granflow.schema.model import choose_by_first_key
@@ -373,18 +374,10 @@ class Eepa(NormalLaw):
 
     @ti.func
     def pull_off(self, constants, contact):
-        """Constant pull-off force [N] over the step.
-
-        In the steps of first contact and separation it acts for the distance of contact only:
-
-            f0 (d + h/2) / h        d < h = |d'| dt
-        """
+        """Constant pull-off force [N] over the step, in those of first contact and separation for a part."""
         force = 0.0 * contact.overlap
         if ti.static(self.pulls_off):
-            travel = ti.abs(contact.overlap_rate) * contact.time_step
-            partial = contact.overlap <= TOUCHING * travel
-            divisor = ti.select(partial, travel, 1.0)
-            share = ti.select(partial, contact.overlap / divisor + 0.5, 1.0)
+            share = share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
             force = constants.pull_off_force * share
         return force
 
@@ -565,8 +558,7 @@ class Eepa(NormalLaw):
             elastic = -k_adh * d**chi
         else:
             elastic = k2 * (d**n - plastic)
-        travel = abs(contact.overlap_rate) * contact.time_step
-        share = d / travel + 0.5 if d <= TOUCHING * travel else 1.0
+        share = reference_share_in_contact(d, contact.overlap_rate, contact.time_step)
         power_of_overlap = DAMPING_POWER if self.is_hertz else 0.0
         mean = reference_step_mean(power_of_overlap, d, contact.overlap_rate, contact.time_step)
         viscous = constants.viscosity * math.sqrt(contact.mass_eff * k1) * mean * contact.overlap_rate
