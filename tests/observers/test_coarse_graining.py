@@ -92,6 +92,7 @@ def test_fields_wrap_around_a_periodic_axis():
     """The mass is conserved, and a shift of all particles by one cell shifts the field by one cell."""
     particles, contacts = cloud()
     grid = CoarseGrid((0.0, 0.0, -0.5), (1.0, 1.0, 1.5), (5, 4, 3), (True, True, False))
+    np.testing.assert_array_equal(grid.cells_of(grid.centers())[0], np.arange(grid.cell_count))
     moved = particles | {"position": particles["position"] + [grid.cell_size[0], 0.0, 0.0]}
     first, second = (
         fields_from(accumulate(each, contacts, grid, GaussianKernel(0.15, 3.0)))["density"].reshape(3, 4, 5)
