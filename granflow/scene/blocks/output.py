@@ -314,7 +314,7 @@ class Expectation(Model):
     The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and
     groups.
 
-    >>> gf.Expectation(quantity="mass_flow.outlet", equals="0.5 kg/s", tolerance=0.05).equals
+    >>> gf.Expectation(quantity="mass_flow.outlet", equals="1.8 t/h", tolerance=0.05).equals
     0.5
     """
 
