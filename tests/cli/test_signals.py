@@ -23,7 +23,7 @@ COMPILING, PACKING = 10, 900_000
 
 @pytest.mark.slow  # needs idle cores
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("count", "delay"), [(COMPILING, 0.3), (COMPILING, 2.0), (PACKING, 2.0)])
+@pytest.mark.parametrize(("count", "delay"), [(COMPILING, 0.3), (COMPILING, 1.0), (PACKING, 2.0)])
 def test_signal_before_the_first_step_ends_the_run(tmp_path, number, count, delay):
     """With an empty cache, compilation begins when the output directory appears."""
     text = TEXT.replace("count: 10", f"count: {count}").replace(

@@ -477,7 +477,11 @@ CASES = [
     ("walls.plate_0_left.heat_flux", 1.0, "temperature is given too: keep one of them"),
     ("contact.heat", None, "walls.plate_3_right.heat_flux has no effect"),
     ("materials.sphere.heat_capacity", 1e-6, "is longer than"),
-    ("expect", [{"quantity": "wall_heat.plate_1_left", "above": 0}], "there is no such wall with a temperature"),
+    (
+        "expect",
+        [{"quantity": "wall_heat.plate_1_left", "above": 0}],
+        "there is no such wall with a temperature",
+    ),
     ("contact.heat", {"law": "conduction", "surroundings": 300}, "other.emissivity is missing"),
     ("contact.heat", {"law": "conduction", "gas": GAS}, "but it must be at most 0.9 of materials.sphere."),
     ("contact.heat", {"law": "conduction", "from_dissipation": True}, "the losses of the energy budget"),

@@ -226,6 +226,7 @@ def test_sweep_of_a_small_shear_tester(tmp_path, capsys):
         assert 0.2 < float(row["shear_stress [Pa]"]) / float(row["normal_stress [Pa]"]) < 2.0
     (locus,) = json.loads((tmp_path / "out/yield_loci.json").read_text())
     assert [each["run"] for each in locus["points"]] == [row["run"] for row in rows]
-    assert f"{locus['consolidation_stress'] / 1e3:.3g}" in capsys.readouterr().out
+    normal, shear = (float(rows[0][f"preshear_{kind}_stress [Pa]"]) for kind in ("normal", "shear"))
+    assert f" {np.degrees(np.arctan2(shear, normal)):.1f} " in capsys.readouterr().out
     assert (tmp_path / "out/yield_loci.png").stat().st_size > 1000
     assert "Yield loci" in (tmp_path / "out/sweep.html").read_text()
