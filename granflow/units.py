@@ -247,6 +247,11 @@ def exact_si(text: str, dimension: str) -> Fraction | float:
     return (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor + zero
 
 
+def _is_usual(unit: str) -> bool:
+    """Whether messages list a unit: not one of the other notations of `_unit_table`."""
+    return unit.isascii() and "^" not in unit
+
+
 def _foreign(text: str) -> str:
     """Which character of a text that is no number only looks like a digit or a sign; empty without one."""
     for character in text:
@@ -299,7 +304,7 @@ def _wrong_unit(unit: str, expected: Dimension) -> str:
         return f"{meaning} and {expected.noun} is expected, such as {expected.example}"
     near = [name for name in expected.units if name.lower() == unit.lower()]
     near = near or difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
-    known = ", ".join(name for name in expected.units if name.isascii() and "^" not in name)
+    known = ", ".join(filter(_is_usual, expected.units))
     hint = f" (did you mean {near[0]}?)" if near else ""
     units = f"units of {_without_article(expected.noun)} are {known}, such as {expected.example}"
     return f"{unit} is not a known unit{hint}; {units}"
@@ -365,7 +370,7 @@ def column_factor(unit: str, si_unit: str) -> float:
             return float(each.units[unit])
     if not si_unit:
         raise UnitError(f"{unit} is no unit of a number; the only one is %")
-    names = dict.fromkeys(name for each in known for name in each.units if name.isascii() and "^" not in name)
+    names = dict.fromkeys(name for each in known for name in each.units if _is_usual(name))
     names = {name: None for name in names if name not in ZERO_POINTS}
     raise UnitError(f"{unit} is no unit of it; give {', '.join(names) or si_unit}")
 

@@ -59,7 +59,12 @@ def in_degrees(number: float, unit: str) -> str:
 
 def numbered(count: int, noun: str) -> str:
     """Return a count with its noun: 1 wall, 2 walls, 12 000 particles."""
-    return f"{readable(count)} {noun}" if count == 1 else f"{readable(count)} {noun}s"
+    return f"{readable(count)} {noun if count == 1 else plural(noun)}"
+
+
+def plural(noun: str) -> str:
+    """The plural of a noun: walls, groups of particles, walls with a temperature."""
+    return re.sub(r"^(.*?)(?= (?:of|with|moved) |$)", r"\1s", noun, count=1)
 
 
 def distinct_endings(names: Sequence[Sequence[str]], least: int = 1) -> list[tuple[str, ...]]:

@@ -125,9 +125,7 @@ class PeriodicBox:
         rows = np.arange(len(start))
         begin = np.zeros(len(start))
         here = start
-        is_first = True
-        while is_first or len(rows):
-            is_first = False
+        while True:
             left = images - here
             face = self.low + np.where(turns > 0, self.width, 0.0)
             share = np.full(turns.shape, np.inf)
@@ -140,6 +138,8 @@ class PeriodicBox:
             there[goes_on, axis[goes_on]] = face[goes_on, axis[goes_on]]
             until = begin + passed * (1.0 - begin)
             yield LinePiece(rows, here, there, begin, until)
+            if not goes_on.any():
+                return
             axis, sign = axis[goes_on], np.sign(turns[line, axis])[goes_on]
             rows, end, begin, turns = rows[goes_on], end[goes_on], until[goes_on], turns[goes_on]
             here, images = there[goes_on], images[goes_on]

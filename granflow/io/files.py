@@ -266,10 +266,16 @@ def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced; raises as
     `read_file`. Raises FileError for UTF-16 and UTF-32, which spreadsheets write as "Unicode text"."""
     raw = read_file(path)
-    if raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
-        encoding = "UTF-32" if raw.startswith(BOM_UTF32_LE) else "UTF-16"
+    if encoding := wide_encoding(raw):
         raise FileError(f"{path}: the file is encoded in {encoding}; save it as UTF-8.")
     return raw.decode("utf-8-sig", errors="replace")
+
+
+def wide_encoding(raw: bytes) -> str:
+    """UTF-16 or UTF-32 if a text begins with the byte order mark of one of them; empty for others."""
+    if not raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return ""
+    return "UTF-32" if raw.startswith(BOM_UTF32_LE) else "UTF-16"
 
 
 def file_digest(path: Path) -> str:

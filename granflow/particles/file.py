@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import FileError, SceneError
-from granflow.io.files import FormatError, read_text, resolved
-from granflow.io.tables import SEPARATORS, UNIT, Table, is_number, table_in, unit_factor
+from granflow.io.files import FormatError, resolved
+from granflow.io.tables import UNIT, Table, is_number, read_table, unit_factor
 from granflow.io.vtu import read_vtu
 from granflow.particles.group import ParticleData, SceneGroup, particles_of
 
@@ -209,7 +209,7 @@ def _frame(path: Path) -> ParticleTable:
 def _text(path: Path, needs_header: bool) -> tuple[ParticleTable, list[RowProblem]]:
     """Particles of a text file, and the problems of its rows, sorted by line. Raises SceneError for the
     header."""
-    table = table_in(read_text(path), path, SEPARATORS, _is_header)
+    table = read_table(path, _is_header)
     if table is None:
         raise SceneError(f"{path}: the file contains no {_content(needs_header)}.")
     expected = f"the header in line {table.heading_line} has {len(table.names)} columns"

@@ -267,11 +267,12 @@ def slow_motion_warning(
     a particle does not move, and above it its mean speed is a multiple of spacing / dt. Empty if this speed
     is below SLOWEST_SHARE of the impact `velocity` [m/s].
     """
-    slowest = 0.5 * spacing_at(precision, farthest) / time_step
+    spacing = spacing_at(precision, farthest)
+    slowest = 0.5 * spacing / time_step
     if precision != "f32" or slowest <= SLOWEST_SHARE * velocity:
         return ()
     return (
-        f"f32 resolves positions to {spacing_at(precision, farthest):.2g} m at {farthest:.3g} m from the "
+        f"f32 resolves positions to {spacing:.2g} m at {farthest:.3g} m from the "
         f"origin: particles slower than {slowest:.2g} m/s do not move there in a time step of "
         f"{time_step:.2g} s. Use --precision mixed.",
     )

@@ -217,10 +217,11 @@ def _refuse_other_widths(scene: Scene, before: Scene, checkpoint: Checkpoint, lo
 def _refuse_displaced_images(scene: Scene, before: Scene, checkpoint: Checkpoint, location: str) -> None:
     """Raise SceneError if the images of a sheared box are displaced at the end of an earlier run: those of a
     new run are not, so that particles at the faces would have other neighbors."""
-    motion = before.domain.periodic_box().image_motion
+    at_start = before.domain.periodic_box()
+    motion = at_start.image_motion
     if motion is None or AXES[motion.gradient] not in scene.domain.periodic:
         return
-    box = before.domain.periodic_box().at(checkpoint.time)
+    box = at_start.at(checkpoint.time)
     smallest = 0.5 * min(group.diameters[0] for group in before.particles.values())
     in_a_step = abs(motion.speed) * checkpoint.saved["engine"]["clock"]["time_step"]
     if abs(box.offset) <= WIDTH_TOLERANCE * smallest + in_a_step:

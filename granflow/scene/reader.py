@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from granflow.arguments import refuse_other
 from granflow.contact.law import SLOTS
 from granflow.errors import FileError, SceneError
+from granflow.io.files import wide_encoding
 from granflow.scene.blocks.scene import SceneInput
 from granflow.scene.checks import PartialScene, consistency_problems, partial_scene_of
 from granflow.schema.document import (
@@ -229,8 +230,7 @@ def _file_text(path: Path, kind: str) -> str:
 
 def _decoded(raw: bytes, path: Path, kind: str) -> str:
     """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for other data."""
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "UTF-32" if raw.startswith(b"\xff\xfe\0\0") else "UTF-16"
+    if encoding := wide_encoding(raw):
         raise SceneError(f"{path}:1:1: the file is encoded in {encoding}; save it as UTF-8.")
     try:
         text = raw.decode("utf-8-sig")

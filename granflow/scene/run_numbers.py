@@ -50,11 +50,6 @@ class Condition:
     remedy: str
 
 
-def _has_timed_insertion(scene: SceneInput) -> bool:
-    """Whether particles enter during the run."""
-    return any(isinstance(group.insert, TimedInsertion) for group in scene.particles.values())
-
-
 def _is_deformed(scene: SceneInput) -> bool:
     """Whether the widths of the periodic box change."""
     return bool(list(scene.deformations()))
@@ -85,10 +80,14 @@ CONDITIONS = (
     Condition(("boundary_work",), lambda scene: bool(scene.domain.periodic), "it requires domain.periodic"),
     Condition(
         ("free_wall_energy", "free_wall_work"),
-        lambda scene: any(wall.is_force_controlled for wall in scene.walls.values()),
+        lambda scene: bool(_controlled_walls(scene, "free_wall_energy")),
         "no wall is moved by forces; give one a motion of the kind servo or free",
     ),
-    Condition(("queued_count",), _has_timed_insertion, "no group of particles is inserted during the run"),
+    Condition(
+        ("queued_count",),
+        lambda scene: bool(_inserted_groups(scene, "queued_count")),
+        "no group of particles is inserted during the run",
+    ),
     Condition(("wall_contact_count",), lambda scene: bool(scene.walls), "the scene has no walls"),
     Condition(
         ("liquid_film_volume", "liquid_bridge_volume"),

@@ -22,7 +22,7 @@ from pydantic_core import ErrorDetails
 
 from granflow.schema.document import Document, Node, Problem
 from granflow.schema.faults import Fault, KeyPath, missing, whole
-from granflow.visible_text import alternatives
+from granflow.visible_text import alternatives, plural
 
 _CLOSE = 0.6  # similarity from which a name is suggested
 
@@ -257,8 +257,8 @@ def no_such(name: str, known: Iterable[str], kind: str) -> str:
     names = list(known)
     if suggestion := nearest(name, names):
         return f"there is no such {kind}. Did you mean {suggestion}?"
-    several = re.sub(r"^(.*?)(?= (?:of|with|moved) |$)", r"\1s", kind, count=1)  # groups of particles
-    known_names = f"the {several} are {', '.join(names)}" if names else f"the scene has no {several}"
+    kinds = plural(kind)
+    known_names = f"the {kinds} are {', '.join(names)}" if names else f"the scene has no {kinds}"
     return f"there is no such {kind}; {known_names}"
 
 

@@ -19,8 +19,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from granflow.errors import FileError
-from granflow.io.files import read_text
-from granflow.io.tables import SEPARATORS, UNIT, Table, table_in, unit_factor
+from granflow.io.tables import UNIT, Table, read_table, unit_factor
 from granflow.schema import quantities as q
 from granflow.schema.faults import Fault, missing, whole_error
 from granflow.schema.model import FileName, ListOf, Model, choose_by_key
@@ -463,7 +462,7 @@ def _sieve_table(path: Path) -> Table:
 
     Raises OSError if the file cannot be read, and FileError for another header or number of rows.
     """
-    table = table_in(read_text(path), path, SEPARATORS, _is_sieve_header)
+    table = read_table(path, _is_sieve_header)
     if table is None:
         raise FileError(f"{path}: the table has no rows; give a header such as opening [mm], passing [%].")
     if not _is_sieve_header(table.names):
