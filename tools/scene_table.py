@@ -9,7 +9,8 @@ python tools/scene_table.py --record out/mixer  first store the numbers of a fin
 
 docs/scenes_comparisons.yaml contains the published and the measured values of the comparisons, with date and
 commit of the measurement. docs/scenes_results.json contains the results of the shipped scenes for the
-quantities of their `expect`, with date and commit.
+quantities of their `expect`, with date, commit, processor and run time. Record a run on the machine that computed
+it.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmark.machine import machine
 from ruamel.yaml import YAML
 
 from granflow import read_run
@@ -90,7 +92,7 @@ def expected_and_run(name: str, numbers: Mapping[str, float]) -> Iterator[tuple[
 
 
 def stored_results() -> dict[str, Any]:
-    """Recorded results by name of the scene: date, commit, numbers, threads, wall clock [s]."""
+    """Recorded results by name of the scene: date, commit, numbers, processor, threads, wall clock [s]."""
     results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     return results
 
@@ -144,6 +146,7 @@ def record(folder: Path) -> None:
         "date": datetime.date.fromtimestamp((folder / "result.json").stat().st_mtime).isoformat(),
         "commit": git("rev-parse", "--short", "HEAD"),
         "numbers": {quantity: numbers[quantity] for quantity in quantities if quantity in numbers},
+        "processor": machine()["processor"].replace("(R)", "").replace(" Processor", ""),
         "threads": sessions(run.record)[-1][1].threads,
         "wall_clock": round(numbers["wall_clock"], 1),
     }

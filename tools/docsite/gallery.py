@@ -82,7 +82,7 @@ def _section(name: str) -> str:
     if "wall_clock" in run:
         threads = f"{run['threads']} thread{'s' if run['threads'] > 1 else ''}"
         lines.append(
-            f"Run time: {run['wall_clock']:.0f} s with {threads} (AMD EPYC, compilation included).\n"
+            f"Run time: {run['wall_clock']:.0f} s with {threads} ({run['processor']}, compilation included).\n"
         )
     return "\n".join(lines)
 
