@@ -129,7 +129,7 @@ if TYPE_CHECKING:
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
-# In notebooks, prints of kernels would pass through Python, announced by a line on stderr. granflow's have none.
+# In notebooks, the prints of kernels would pass through Python, which a line on stderr announces.
 os.environ.setdefault("TI_ENABLE_PYBUF", "0")
 os.environ.setdefault("QD_ENABLE_PYBUF", "0")
 # Without HOME, as under some job schedulers, Taichi ends the process.

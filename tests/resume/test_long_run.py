@@ -61,6 +61,7 @@ def test_memory_files_and_energy_are_stable_over_a_million_steps(tmp_path):
     mass, error, memory, files, count = zip(*samples, strict=True)
     assert set(count) == {64.0} and set(mass) == {mass[0]}
     assert max(memory[WARM_UP:]) <= 1.01 * memory[WARM_UP], memory[WARM_UP:]
-    assert max(files[WARM_UP:]) <= max(files[:WARM_UP]), "one more while a frame is written"
+    # A sample can coincide with the thread that writes a frame; a leak would add a file per frame or checkpoint.
+    assert max(files[WARM_UP:]) <= max(files[:WARM_UP]) + 1, files
     assert max(map(abs, error)) < 1e-3
     assert len(list(tmp_path.glob("checkpoint_*.npz"))) == 2
