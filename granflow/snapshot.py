@@ -67,6 +67,28 @@ def body_ids(particles: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.where(clump >= 0, clump, own)
 
 
+def bodies_of(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """The same arrays (n, ...) of particles with one row for each clump, in the order of the ids.
+
+    A clump has the id, group, material and insertion time of its first sphere, the radius of its largest one,
+    the contacts of all of them, and its own mass and center of mass, with the velocity there.
+    """
+    if "clump" not in particles:
+        return particles
+    _, first, body = np.unique(body_ids(particles), return_index=True, return_inverse=True)
+    found = selected(particles, first)
+    if "radius" in found:
+        np.maximum.at(found["radius"], body, particles["radius"])
+    for name in ("coordination_number", "wall_contact_count"):
+        if name in found:
+            found[name] = np.bincount(body, particles[name], len(first)).astype(int)
+    for name in ("mass", "position", "velocity"):
+        if name in found:
+            clump = found["clump"] >= 0
+            found[name][clump] = found[f"clump_{name}"][clump]
+    return found
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Snapshot:
     """State of a simulation at one time. `granflow.fields` defines keys, shapes and units.
@@ -222,5 +244,5 @@ def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.nda
 
 
 def selected(arrays: Mapping[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the entries of all arrays (n, ...) for which `mask` (n,) is True."""
+    """Return the entries of all arrays (n, ...) for which `mask` (n,) is True, or with the indices in it."""
     return {name: values[mask] for name, values in arrays.items()}

@@ -19,7 +19,7 @@ from granflow.arguments import items_of, shown
 from granflow.errors import GranflowError
 from granflow.geometry.periodic_box import LinePiece, PeriodicBox
 from granflow.scene.blocks.output import FLOW_BLOCKS, FlowMeter
-from granflow.snapshot import Snapshot, body_ids
+from granflow.snapshot import Snapshot, bodies_of
 
 # Means over stages
 
@@ -225,25 +225,7 @@ class FlowCount:
 
 
 SAMPLED = ("id", "mass", "position", "velocity", "radius", "group", "material", "insertion_time")
-"""Arrays of the particles that a flow meter reads, and `clump`."""
-
-
-def bodies_of(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays SAMPLED (n,) or (n, 3) of single spheres and clumps, in the order of their ids.
-
-    A clump has the id, group, material and insertion time of its first sphere, the radius of its largest one,
-    and its own mass and center of mass, with the velocity there.
-    """
-    spheres = {name: particles[name] for name in SAMPLED}
-    if "clump" not in particles:
-        return spheres
-    _, first, body = np.unique(body_ids(particles), return_index=True, return_inverse=True)
-    found = {name: values[first] for name, values in spheres.items()}
-    np.maximum.at(found["radius"], body, spheres["radius"])
-    clump = particles["clump"][first] >= 0
-    for name in ("mass", "position", "velocity"):
-        found[name][clump] = particles[f"clump_{name}"][first][clump]
-    return found
+"""Arrays of the particles that a flow meter reads, and of clumps those of `bodies_of`."""
 
 
 @dataclass(frozen=True)
@@ -375,7 +357,8 @@ class FlowCounter:
         self._last = self._sample_of(last["time"], last["particles"]) if last else None
 
     def _sample(self, snapshot: Snapshot) -> _Sample:
-        return self._sample_of(snapshot.time, bodies_of(snapshot.particles))
+        particles = bodies_of(snapshot.particles)
+        return self._sample_of(snapshot.time, {name: particles[name] for name in SAMPLED})
 
     def _sample_of(self, time: float, particles: Mapping[str, np.ndarray]) -> _Sample:
         """Sample with the distances (n,) [m] from the plane, positive on the far side."""

@@ -20,8 +20,9 @@ from granflow.io.log import LOG, RECORD, Record, read_record
 from granflow.io.tables import TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh
 from granflow.load import Scene, load_scene
+from granflow.observers.coarse_graining import of_bodies
 from granflow.runs.result import Result, read_sections, result_of
-from granflow.snapshot import Snapshot
+from granflow.snapshot import Snapshot, body_ids
 from granflow.visible_text import html_table, numbered, visible_line
 
 if TYPE_CHECKING:
@@ -400,7 +401,20 @@ class Run:
             share = np.array([1.0 if body is None else body.volume_over_spheres for body in bodies])
             mass = sphere_mass(arrays["radius"], density[arrays["material"]])
             arrays["mass"] = mass * share[arrays["group"]]
+            if "clump" in arrays:
+                arrays |= self._clumps(arrays)
         return Snapshot(time, 0, self._stage_at(time), arrays, None, {}, {})
+
+    def _clumps(self, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Mass, center of mass and its velocity of the clump of each sphere, as in snapshots of a program."""
+        shapes = [group.shape for group in self.scene.particles.values()]
+        bodies = of_bodies(arrays, shapes)
+        first, body = np.unique(body_ids(arrays), return_inverse=True)
+        return {
+            "clump_mass": np.bincount(body, arrays["mass"], len(first))[body],
+            "clump_position": self.scene.domain.periodic_box().wrap(bodies["position"]),
+            "clump_velocity": bodies["velocity"],
+        }
 
     def _stage_at(self, time: float) -> str:
         """Stage in the last row of the time series at or before `time` [s].

@@ -347,24 +347,47 @@ def test_height_of_a_level_bed_and_of_its_volume():
     assert meter.readings()["bed_height"] == pytest.approx(0.5 + 10 * radius)
 
 
-def test_coordination_counts_the_contacts_of_a_clump_as_those_of_one_particle():
-    """A rod of two spheres with one contact each is no rattler; a sphere with one contact is one.
+def rods_and_a_sphere():
+    """Ids 0, 1: a rod with one contact of each sphere. Id 2: a sphere with one contact. Ids 3, 4: a rod with two
+    contacts with particles and one with a wall, across the periodic face at 1.
 
-    Ids 0, 1: a rod, centers at 0.1 and 0.3. Id 2: a sphere at 0.6 with one contact. Ids 3, 4: a rod with two
-    contacts with particles and one with a wall, at 1.1 and 1.3.
+    The centers of mass are at x = 0.25, 0.6 and 0.95, the masses are 2, 1 and 3 kg. The rods spin.
     """
-    particles = spheres_of(
-        np.outer([0.1, 0.3, 0.6, 1.1, 1.3], [1.0, 0.0, 0.0]), clump=np.array([0, 0, -1, 3, 3]),
+    along = [1.0, 0.0, 0.0]
+    rows = np.array([0, 0, 1, 2, 2])
+    mass = np.array([2.0, 1.0, 3.0])
+    center = np.outer([0.25, 0.6, 0.95], along)
+    return spheres_of(
+        np.outer([0.1, 0.3, 0.6, 0.9, 0.05], along), clump=np.array([0, 0, -1, 3, 3]), radius=np.full(5, 0.1),
         coordination_number=np.array([1, 1, 1, 0, 2]), wall_contact_count=np.array([0, 0, 0, 1, 0]),
+        mass=(mass / [2.0, 1.0, 2.0])[rows], clump_mass=mass[rows], clump_position=center[rows],
+        velocity=np.outer([9.0, -7.0, -1.0, 9.0, -9.0], along), clump_velocity=np.outer([1.0, -1.0, 0.0], along)[rows],
+        group=np.array([0, 0, 1, 1, 1]),
     )  # fmt: skip
-    whole = metric.CoordinationMetric().measure(snapshot_of(particles=particles), None)
-    assert whole.numbers == pytest.approx({
-        "coordination_number": 5.0 / 3.0, "mechanical_coordination_number": 2.0,
-        "wall_coordination_number": 1.0 / 3.0, "rattler_share": 1.0 / 3.0,
-    })  # fmt: skip
-    region = Box(min=[0.0, -1.0, -1.0], max=[1.15, 1.0, 1.0])  # cuts the second rod, whose center is at 1.2
-    left = metric.CoordinationMetric(region=region).measure(snapshot_of(particles=particles), None)
-    assert (left.numbers["coordination_number"], left.numbers["rattler_share"]) == (1.5, 0.5)
+
+
+HALF = {"min": [0.0, -1.0, -1.0], "max": [0.7, 1.0, 1.0]}
+
+
+@pytest.mark.parametrize(("keys", "expected"), [
+    ({"kind": "coordination"}, [5.0 / 3.0, 2.0, 1.0 / 3.0, 1.0 / 3.0]),
+    ({"kind": "coordination", "region": HALF}, [1.5, 2.0, 0.0, 0.5]),
+    ({"kind": "content", "region": HALF}, [2.0, 3.0, 3.0 / 2500.0]),
+    ({"kind": "center_of_mass"}, [(2 * 0.25 + 0.6 + 3 * 0.95) / 6.0, 0.0, 0.0]),
+    # V = 1/6: (2 (5/6)^2 + (7/6)^2 + 3 (1/6)^2) / (6 (1 - 1/3)) = 17/24
+    ({"kind": "granular_temperature"}, [17.0 / 72.0, 17.0 / 24.0, 0.0, 0.0]),
+    # Cells of the masses 2 and 4 kg, c = 1/3. I_R = 2 (1/3 (1 + 9)/4 + 2/3 2) / 6
+    ({"kind": "segregation", "groups": ["red"], "cells": [2, 1, 1]}, [1.0, 13.0 / 18.0]),
+    # Cells of 1 and 2 particles, p = 1/3: separated.
+    ({"kind": "lacey", "groups": ["red"], "cells": [2, 1, 1], "at_least": 1}, [0.0]),
+])  # fmt: skip
+def test_a_clump_is_one_particle_at_its_center_of_mass(keys, expected):
+    domain = {"min": [0.0, -1.0, -1.0], "max": [1.0, 1.0, 1.0], "periodic": "x", "on_exit": "error"}
+    meter = measured(snapshot_of(particles=rods_and_a_sphere()), domain, **keys)
+    assert list(meter.readings().values()) == pytest.approx(expected, abs=1e-12)
+
+
+def test_rattlers_have_fewer_than_two_contacts_of_either_kind():
     # Six particles with 0, 1, 4, 4, 5 and 6 contacts: Zm = (20 - 1) / 4.
     single = metric.coordination(np.array([0, 1, 4, 4, 5, 6]), np.zeros(6, int))
     assert single["mechanical_coordination_number"] == 19 / 4

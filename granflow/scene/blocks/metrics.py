@@ -42,6 +42,7 @@ from granflow.snapshot import (
     PARTS,
     WALLS,
     Snapshot,
+    bodies_of,
     body_ids,
     mobile_particles,
     selected,
@@ -130,13 +131,16 @@ class Metric(Model):
 
 
 # Shared by several metrics
+#
+# A clump is one particle with its center of mass, its mass and the diameter of its largest sphere
+# (`bodies_of`), except where its surface counts: in the angle of repose and the height.
 
 MIN_CONTACTS = 2
 """Smallest number of contacts, with particles and walls, of a particle that carries a load."""
 
 
 def _volume(particles: Mapping[str, np.ndarray], scene: MeasuredScene) -> np.ndarray:
-    """Volume (n,) [m3] of particles; of a sphere of a clump its part of the clump, without overlaps."""
+    """Volume (n,) [m3] of particles; of a clump, and of a sphere of one its part, without overlaps."""
     return np.asarray(particles["mass"].astype(float) / np.array(scene.densities)[particles["material"]])
 
 
@@ -166,6 +170,13 @@ def _bodies(particles: Mapping[str, np.ndarray]) -> np.ndarray:
     """Number (n,), from 0, of the clump of each sphere, or of a sphere without one."""
     body: np.ndarray = np.unique(body_ids(particles), return_inverse=True)[1]
     return body
+
+
+def _contacts_of_bodies(particles: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The number of contacts (n,), with particles and walls, of the clump of each sphere, or of a sphere
+    without one."""
+    body = _bodies(particles)
+    return np.asarray(np.bincount(body, particles["coordination_number"] + _wall_contacts(particles))[body])
 
 
 def _mean(values: np.ndarray) -> float:
@@ -306,7 +317,7 @@ class LaceyMetric(TwoComponentGrid):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; the remark says that more than DROPPED_SHARE of a component is excluded."""
-        particles = mobile_particles(snapshot.particles)
+        particles = mobile_particles(bodies_of(snapshot.particles))
         is_first = self.is_first(particles, scene)
         arguments = particles["position"], is_first, self.grid_in(scene.domain), self.at_least
         index = lacey_index(*arguments)
@@ -413,7 +424,7 @@ class SegregationMetric(TwoComponentGrid):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; the remark gives the reason of a value without meaning."""
-        particles = mobile_particles(snapshot.particles)
+        particles = mobile_particles(bodies_of(snapshot.particles))
         volume = _volume(particles, scene)
         is_first = self.is_first(particles, scene)
         grid = self.grid_in(scene.domain)
@@ -699,8 +710,8 @@ class ReposeMetric(Metric):
         """
         frame = frame_along(-np.array(scene.gravity) / np.linalg.norm(scene.gravity))
         particles = mobile_particles(snapshot.particles)
-        contacts = particles["coordination_number"] + _wall_contacts(particles)
-        heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], self.region))
+        rests = _contacts_of_bodies(particles) >= MIN_CONTACTS
+        heap = selected(particles, rests & _inside(particles["position"], self.region))
         points = heap["position"].astype(float) @ frame.T
         edge = column_edge(heap["radius"].astype(float)) if len(points) else 0.0
         if self.surface == "cone":
@@ -777,9 +788,9 @@ class HeightMetric(Metric):
         points = particles["position"].astype(float) @ frame.T
         radius = particles["radius"].astype(float)
         volume = _volume(particles, scene)
-        contacts = particles["coordination_number"] + _wall_contacts(particles)
-        rests = contacts >= MIN_CONTACTS
-        of_bodies = np.bincount(_bodies(particles), contacts) >= MIN_CONTACTS
+        rests = _contacts_of_bodies(particles) >= MIN_CONTACTS
+        _, first = np.unique(body_ids(particles), return_index=True)
+        of_bodies = rests[first]
         tops: np.ndarray = np.zeros(0)
         if rests.any() and of_bodies.mean() >= LEAST_RESTING:
             tops = surface_points(points[rests], radius[rests], column_edge(radius[rests]))[:, 2]
@@ -868,21 +879,17 @@ ROUND = 1e-6
 """Relative difference of the two largest moments of a clump below which it has no longest axis."""
 
 
-def _centers(position: np.ndarray, mass: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """Centers of mass (k, 3) [m] of bodies of spheres; arguments as of `longest_axes`."""
-    sums = np.column_stack([np.bincount(body, mass * each) for each in position.T])
-    return np.asarray(sums / np.bincount(body, mass)[:, None])
-
-
 def longest_axes(position: np.ndarray, mass: np.ndarray, body: np.ndarray) -> np.ndarray:
     """Unit vectors (k, 3) along the longest axis of each of k bodies of spheres; NaN for one without.
 
     position (n, 3) [m] without jumps within a body, mass (n,) [kg], body (n,): number of the body of each
     sphere
 
-    It is the eigenvector of the largest eigenvalue of sum m (x - X) (x - X), X the center of mass.
+    It is the eigenvector of the largest eigenvalue of sum m (x - X) (x - X), X the mean of x with the
+    weights m.
     """
-    arm = position - _centers(position, mass, body)[body]
+    sums = np.column_stack([np.bincount(body, mass * each) for each in position.T])
+    arm = position - (sums / np.bincount(body, mass)[:, None])[body]
     moments = np.zeros((body.max(initial=-1) + 1, 3, 3))
     np.add.at(moments, body, mass[:, None, None] * arm[:, :, None] * arm[:, None, :])
     values, vectors = np.linalg.eigh(moments)
@@ -932,7 +939,7 @@ class OrientationMetric(Metric):
         position = _unwrapped(particles["position"].astype(float), body, scene.domain)
         mass = particles["mass"].astype(float)
         axes = longest_axes(position, mass, body)
-        axes = axes[_inside(_centers(position, mass, body), self.region) & np.isfinite(axes[:, 0])]
+        axes = axes[_inside(bodies_of(particles)["position"], self.region) & np.isfinite(axes[:, 0])]
         names = [each.name for each in self.quantities]
         if not len(axes):
             return Reading(dict.fromkeys(names, float("nan")), "there are no clumps with a longest axis")
@@ -1136,17 +1143,10 @@ class CoordinationMetric(Metric):
     )
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
-        """See `Metric`; of the mobile particles with centers inside the region.
-
-        A clump is one particle with the contacts of all of its spheres; its center is the mean of theirs.
-        """
-        particles = mobile_particles(snapshot.particles)
-        body = _bodies(particles)
-        spheres = np.bincount(body)
-        center = [np.bincount(body, each) / spheres for each in particles["position"].astype(float).T]
-        inside = _inside(np.column_stack(center), self.region)
-        counts = (particles["coordination_number"], _wall_contacts(particles))
-        return Reading(coordination(*(np.bincount(body, each)[inside] for each in counts)))
+        """See `Metric`; of the mobile particles with centers inside the region."""
+        particles = mobile_particles(bodies_of(snapshot.particles))
+        inside = selected(particles, _inside(particles["position"], self.region))
+        return Reading(coordination(inside["coordination_number"], _wall_contacts(inside)))
 
 
 # Position and content
@@ -1169,7 +1169,7 @@ class ContentMetric(Metric):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`."""
-        particles = mobile_particles(snapshot.particles)
+        particles = mobile_particles(bodies_of(snapshot.particles))
         inside = selected(particles, _inside(particles["position"], self.region))
         mass = inside["mass"].astype(float)
         return Reading(
@@ -1223,7 +1223,7 @@ class SolidFractionMetric(Metric):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; NaN while a wall is absent, if walls are not parallel, or without particles."""
-        particles = mobile_particles(snapshot.particles)
+        particles = mobile_particles(bodies_of(snapshot.particles))
         inside = np.ones(len(particles["position"]), bool)
         volume = 1.0 if self.radius is None else pi * self.radius**2
         normals = []
@@ -1300,10 +1300,10 @@ class CenterOfMassMetric(Metric):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`."""
-        particles = mobile_particles(snapshot.particles)
+        bodies = bodies_of(snapshot.particles)
+        particles = mobile_particles(bodies)
         if self.groups:
-            chosen = _in_groups(snapshot.particles, self.groups, scene)
-            particles = selected(snapshot.particles, chosen)
+            particles = selected(bodies, _in_groups(bodies, self.groups, scene))
         if self.smaller_than is not None:
             particles = selected(particles, 2.0 * particles["radius"] < self.smaller_than)
         if self.at_least is not None:
@@ -1364,7 +1364,7 @@ class GranularTemperatureMetric(Metric):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; NaN if no cell has two particles."""
-        particles = mobile_particles(snapshot.particles)
+        particles = mobile_particles(bodies_of(snapshot.particles))
         own = _in_groups(particles, self.groups, scene) & _inside(particles["position"], self.region)
         velocity = particles["velocity"][own].astype(float)
         cell = np.zeros(len(velocity), np.int64)
