@@ -37,6 +37,7 @@ CASES = {
     "halves of a tube, joint": (HALVES, (0.19, 0.5), 1, 2),
     "halves of a tube, end": (HALVES, (0.19, 1.01), 1, 1),
     "tube, cone and shelf, from inside": ([HOPPER, UP, SHELF], (0.085, 0.003), 1, 3),
+    "shelf, tube and cone, over the cone": ([SHELF, UP, HOPPER], (0.096, 0.02), 1, 3),
     "tube, cone and shelf, from outside": ([HOPPER, UP, SHELF], (0.11, -0.01), 2, 3),
     "a plate beyond a tube shares no edge": (PLATE, (0.19, 0.01), 2, 2),
 }
