@@ -658,7 +658,12 @@ CONTACT_QUANTITIES = by_name(
         ),
         Quantity("normal_force", "Fn", "N", "repulsive force along the normal"),
         Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
-        Quantity("overlap", "delta", "m", "sum of the radii minus the distance of the centers"),
+        Quantity(
+            "overlap",
+            "delta",
+            "m",
+            "sum of the radii minus the distance of the centers; negative for a cohesive force at a distance",
+        ),
         Quantity("overlap_max", "delta_max", "m", "largest overlap since the contact began"),
         Quantity("restitution", "e", "1", "coefficient of restitution of the contact"),
         Quantity("unloading", "", "1", "0 loading, 1 unloading", file_type="uint8"),
@@ -686,7 +691,9 @@ FIELD_QUANTITIES = by_name(
         Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
         Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
         Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
-        Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
+        Quantity(
+            "fabric", "", "1", "mean of n n over the contacts between particles, n their direction", "tensor"
+        ),
     )
 )
 """Arrays of coarse-grained fields, one entry per grid point."""
@@ -733,8 +740,8 @@ _STATE_QUANTITIES = by_name(
         Quantity("wall_contact_count", "", "1", "contacts of particles with walls"),
         Quantity("kinetic_energy", "Ek", "J", "translational kinetic energy"),
         Quantity("rotational_energy", "Er", "J", "rotational kinetic energy"),
-        Quantity("overlap_mean", "", "1", "mean overlap of the contacts over the radius"),
-        Quantity("overlap_largest", "", "1", "largest overlap of the contacts over the radius"),
+        Quantity("overlap_mean", "", "1", "mean overlap of the contacts over the smaller radius"),
+        Quantity("overlap_largest", "", "1", "largest overlap of the contacts over the smaller radius"),
         Quantity(
             "coordination_number", "Z", "1", "mean number of contacts with particles per mobile particle"
         ),

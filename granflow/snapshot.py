@@ -98,7 +98,8 @@ class Snapshot:
     stage:      name of the stage
     particles:  requested arrays (n,) or (n, 3) of `PARTICLE_QUANTITIES`, ordered by id; empty if none are
                 requested. `material` and `group` are indices into those of the scene
-    contacts:   arrays (c,) or (c, 3) of `CONTACT_QUANTITIES`, one entry per contact; None if not requested
+    contacts:   arrays (c,) or (c, 3) of `CONTACT_QUANTITIES`, one entry per contact, and one with a negative
+                overlap per separated pair with a cohesive force; None if not requested
     walls:      pose by name, in the order of the scene; empty if not requested
     totals:     numbers of `TOTAL_QUANTITIES`
     impulses:   time integrals since the start for each measured wall (8,): force [N s], torque [N m s] and
@@ -241,6 +242,11 @@ def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.nda
     """Return the arrays without fixed particles, which count as walls; the same arrays if the scene has
     none."""
     return selected(particles, particles["fixed"] == 0) if "fixed" in particles else particles
+
+
+def touching(contacts: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays of contacts without separated pairs, which have a cohesive force at a distance."""
+    return selected(contacts, contacts["overlap"] > 0.0)
 
 
 def selected(arrays: Mapping[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ import numpy as np
 from granflow.contact.law import AT_LIMIT
 from granflow.engine.box import DeviceBox
 from granflow.engine.fields import FieldBlock
-from granflow.engine.history import ContactHistory, vector_components
+from granflow.engine.history import ContactHistory, cohesive_contact, vector_components
 from granflow.engine.host import FieldTable, consecutive, list_table
 from granflow.engine.pair import Pair, PairForce, member, no_contact, normal_contact
 from granflow.engine.state import State
@@ -37,7 +37,8 @@ from granflow.plan.sum_units import UNIT_ENERGY
 
 
 class ContactOutput:
-    """Forces and overlaps of all contacts at the present positions; the contact histories do not change."""
+    """Forces and overlaps of all contacts at the present positions, and of separated pairs with an
+    attraction; the contact histories do not change."""
 
     def __init__(self, state: State) -> None:
         self.state = state
@@ -114,7 +115,10 @@ class ContactOutput:
         size = state.plan.chunk_size
         id_partner = np.where(partner < 0, np.iinfo(np.int32).max, ids[np.maximum(partner, 0)])
         counts = (ids[owner] < id_partner) | (owner // size == partner // size)
-        is_contact = counts & (entries["numbers"][:, OVERLAP] > 0.0)
+        acts = entries["numbers"][:, OVERLAP] > 0.0
+        if state.plan.laws.cohesion_at_distance:
+            acts |= (entries["force"] != 0.0).any(axis=1)
+        is_contact = counts & acts
         turned = (ids[owner] > id_partner)[is_contact]
         owner = owner[is_contact]
         partner = partner[is_contact]
@@ -171,6 +175,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     pair_force = PairForce(state.plan.laws, state.plan.features.rotation, False)
     numbers = output.numbers
     laws = state.plan.laws
+    cohesion: Any = laws.cohesion
 
     @ti.kernel
     def evaluate(count: ti.i32, pose: ti.i32, dt: real):
@@ -198,6 +203,29 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
                     numbers[list_index][LIMIT] = limit
                     output.contact_point[list_index] = contacts.point(i, j, pose)
                     output.force[list_index] = normal_force * normal + tangential
+                elif ti.static(laws.cohesion_at_distance):
+                    numbers[list_index][NORMAL] = 0.0 * contact.overlap
+                    numbers[list_index][TANGENTIAL] = 0.0 * contact.overlap
+                    numbers[list_index][LIMIT] = 0.0 * contact.overlap
+                    output.force[list_index] = 0.0 * normal
+                    if contacts.pair.in_range(i, j, contact.overlap):
+                        constants = contacts.constants(i, j)
+                        history = histories.read(list_index)
+                        separated = cohesive_contact(contacts.bodies(i, j), contact.overlap, dt)
+                        attraction, bond = cohesion.force(constants.cohesion, separated, history.cohesion)
+                        normal_force = -attraction
+                        tangential = 0.0 * normal
+                        if ti.static(laws.has_viscous_cohesion):
+                            history.cohesion = bond
+                            rotations = contacts.angular_velocities(i, j, pose)
+                            liquid = pair_force.viscous_force(
+                                constants, separated, history, kinematics, rotations
+                            )
+                            normal_force += liquid.normal_force
+                            tangential += liquid.force - liquid.normal_force * normal
+                        numbers[list_index][NORMAL] = normal_force
+                        output.contact_point[list_index] = contacts.point(i, j, pose)
+                        output.force[list_index] = normal_force * normal + tangential
 
     return evaluate
 

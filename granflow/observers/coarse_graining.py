@@ -93,8 +93,8 @@ def accumulate(
     `particles`: arrays `mass` [kg], `radius` [m], `coordination_number` (n,), `position` [m], `velocity`
     [m/s] (n, 3), and `fixed` (n,) if the scene has fixed particles, which are excluded, and
     `temperature` (n,) [K] if particles have one; with clumps as `of_bodies` returns them. `contacts`: arrays
-    `position_i`, `position_j` [m], `force` [N] on particle i, each (k, 3), with clumps also `id_i` and
-    `id_j` (k,). Sums are in double precision.
+    `position_i`, `position_j` [m], `force` [N] on particle i, each (k, 3), `overlap` [m] and `wall` (k,),
+    with clumps also `id_i` and `id_j` (k,). Sums are in double precision.
     """
     found = _accumulate_particles(particles, grid, kernel)
     if "temperature" in particles:
@@ -198,14 +198,17 @@ def _accumulate_contacts(
     """Return the sums of CONTACT_ACCUMULATED over the contacts, per cell volume: name -> (cells, components).
 
     The mean of the kernel along the branch vector, L, is a quadrature (Goldhirsch 2010). For a contact with a
-    wall, the branch vector ends at the contact point (Weinhart et al. 2012).
+    wall, the branch vector ends at the contact point (Weinhart et al. 2012). Number and fabric are those of
+    the contacts between particles, without separated pairs.
     """
     start = contacts["position_i"].astype(float)
     branch = contacts["position_j"].astype(float) - start
     force = contacts["force"].astype(float)
     length = np.linalg.norm(branch, axis=1)
     normal = branch / length[:, None]
-    values = np.column_stack([_dyads(force, branch), np.ones_like(length), _dyads(normal, normal)])
+    counts = ((contacts["wall"] < 0) & (contacts["overlap"] > 0.0)).astype(float)
+    fabric = counts[:, None] * _dyads(normal, normal)
+    values = np.column_stack([_dyads(force, branch), counts, fabric])
     total = np.zeros((grid.cell_count, values.shape[1]))
     for position, weight in _quadrature_points(length.max(initial=0.0) / kernel.width):
         total += grid.deposit(kernel, start + position * branch, weight * values)

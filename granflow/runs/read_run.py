@@ -105,11 +105,11 @@ def particle_arrays(mesh: VtuMesh) -> dict[str, np.ndarray]:
 def contact_arrays(mesh: VtuMesh) -> dict[str, np.ndarray]:
     """Arrays of the contacts by name (c,) or (c, 3): CONTACT_QUANTITIES and history fields, in SI units."""
     lines = np.concatenate([np.zeros((0, 2), np.int64), *(b.data for b in mesh.cells if b.type == "line")])
-    empty: dict[str, np.ndarray] = {
-        "wall": np.zeros(0, np.int32),
-        "force": np.zeros((0, 3)),
-        "sliding": np.zeros(0, np.uint8),
-    }
+    empty = (
+        {}
+        if len(lines)
+        else {name: each.for_file(np.zeros(each.shape(0))) for name, each in CONTACT_QUANTITIES.items()}
+    )
     found = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items() if parts}
     arrays = empty | found | {"position_i": mesh.points[lines[:, 0]], "position_j": mesh.points[lines[:, 1]]}
     return {name: arrays[name] for name in (*CONTACT_QUANTITIES, *arrays) if name in arrays}

@@ -23,26 +23,39 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 EPS = np.finfo(float).eps
 
 
-def test_contact_forces_and_weight_add_up_to_the_particle_force(taichi_f64):
-    """The normal force acts along the branch vector from the partner to i, the tangential force normal to it.
+LIQUID = {"surface_tension": 0.07, "contact_angle": 0.3, "liquid_volume": 2e-9}
+VISCOUS = {"law": "capillary", "viscous_force": {"viscosity": 0.1, "min_separation_ratio": 0.01}}
+
+
+@pytest.mark.parametrize(
+    ("cohesion", "pair"),
+    [
+        ("sjkr", {"cohesion_energy_density": 3e5}),
+        ("van_der_waals", {"hamaker_constant": 1e-8, "separation": 5e-5}),
+        ("capillary", LIQUID),
+        (VISCOUS, LIQUID),
+    ],
+)
+def test_contact_forces_and_weight_add_up_to_the_particle_force(taichi_f64, cohesion, pair):
+    """Of pairs with a force at a distance, too. The normal force acts along the branch vector from the partner to i, the tangential force normal to it.
 
     A sum of ten forces has about ten rounding errors each, weight included. In the force on a particle, each
-    component of a contact force is rounded to the nearest multiple of the unit.
+    component of a contact force, and the weight, is rounded to the nearest multiple of the unit.
     """
     rng = np.random.default_rng(6)
     positions = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
     motion = {"velocity": rng.normal(0.0, 0.3, (64, 3)), "angular_velocity": rng.normal(0.0, 100.0, (64, 3))}
     scene = build_scene(
-        {"balls": particle_group(positions, 0.01, **motion)}, walls=box(0.0392), gravity=GRAVITY.tolist(),
-        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": "sjkr"},
-        pair={"friction": 0.4, "cohesion_energy_density": 3e5},
+        {"balls": particle_group(positions, 0.01, **motion)}, walls=box(0.0405), gravity=GRAVITY.tolist(),
+        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": cohesion},
+        pair={"friction": 0.4} | pair,
         run={"duration": 0.002, "velocity_max": 2.0}, numerics={"chunk_size": 5, "max_overlap": 0.3},
     )  # fmt: skip
     snapshot = run_and_sample(scene, 0.001, contacts=True)[-1]
     particles, contacts = snapshot.particles, snapshot.contacts
     force = contacts["force"]
     assert contacts["tangential_force"].max() > 0.01 * contacts["normal_force"].max() > 0.0
-    total, magnitude, count = np.zeros((64, 3)), np.zeros(64), np.zeros(64)
+    total, magnitude, count = np.zeros((64, 3)), np.zeros(64), np.ones(64)
     for name, sign, selected in (("id_i", 1.0, slice(None)), ("id_j", -1.0, contacts["wall"] < 0)):
         index = contacts[name][selected]
         np.add.at(total, index, sign * force[selected])
@@ -56,6 +69,10 @@ def test_contact_forces_and_weight_add_up_to_the_particle_force(taichi_f64):
     normal = branch / np.linalg.norm(branch, axis=1)[:, None]
     along = np.einsum("na,na->n", force, normal)
     np.testing.assert_allclose(along, contacts["normal_force"], rtol=1e-9)
+    separated = contacts["overlap"] < 0.0
+    assert separated.any() == (cohesion != "sjkr") and (~separated).sum() == snapshot.totals["contact_count"]
+    if cohesion == VISCOUS:  # its tangential part is no friction
+        return
     across = np.linalg.norm(force - along[:, None] * normal, axis=1)
     np.testing.assert_allclose(across, contacts["tangential_force"], rtol=0, atol=1e-12 * along.max())
 

@@ -25,6 +25,8 @@ def cloud(count=300, seed=0):
         "position_i": position,
         "position_j": position + random.normal(0.0, 0.03, position.shape),
         "force": random.normal(0.0, 1.0, position.shape),
+        "wall": np.full(count, -1),
+        "overlap": np.full(count, 1e-3),
     }
     return particles, contacts
 
@@ -71,6 +73,7 @@ def test_contact_stress_is_distributed_along_the_branch_vector():
     force = np.array([1.0, 2.0, 3.0])
     branch = np.array([0.0, 0.0, 0.35])
     contacts = {"position_i": np.zeros((1, 3)), "position_j": branch[None], "force": force[None]}
+    contacts |= {"wall": np.array([-1]), "overlap": np.array([1e-3])}
     grid = CoarseGrid((-0.6, -0.6, -0.6), (0.6, 0.6, 1.0), (24, 24, 32))
     stress = accumulate(cloud(1)[0], contacts, grid, GaussianKernel(width, 6.0)).arrays["contact_stress"]
 

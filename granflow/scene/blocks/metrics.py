@@ -46,6 +46,7 @@ from granflow.snapshot import (
     body_ids,
     mobile_particles,
     selected,
+    touching,
 )
 
 # What a metric is
@@ -865,7 +866,7 @@ class FabricMetric(Metric):
 
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; of the contacts with midpoints inside the region."""
-        contacts = snapshot.contacts or {}
+        contacts = touching(snapshot.contacts or {})
         middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
         tensor = fabric_tensor(selected(contacts, _inside(middle, self.region)))
         parts = {f"fabric_{axis}{axis}": float(tensor[k, k]) for k, axis in enumerate("xyz")}
@@ -1412,7 +1413,7 @@ class SlidingMetric(Metric):
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`."""
         walls = None if self.walls is None else [scene.walls.index(name) for name in self.walls]
-        return Reading(sliding_share(snapshot.contacts or {}, walls))
+        return Reading(sliding_share(touching(snapshot.contacts or {}), walls))
 
 
 # Motion of one particle
