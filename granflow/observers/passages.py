@@ -225,7 +225,7 @@ def _numbers(times: np.ndarray, masses: np.ndarray) -> dict[str, float]:
 
     `masses` (k,) [kg]: weights, because E(t) dt is the fraction of the stream that needs a time between t
     and t + dt (Danckwerts 1953, Chem. Eng. Sci. 2, 1-13). NaN without particles; the number of tanks is NaN
-    without a deviation.
+    if the deviation is one of rounding.
     """
     if not len(times):
         return {
@@ -240,5 +240,5 @@ def _numbers(times: np.ndarray, masses: np.ndarray) -> dict[str, float]:
         "residence_count": len(times),
         "residence_mean": mean,
         "residence_deviation": sqrt(variance),
-        "tanks_in_series": mean**2 / variance if variance > 0.0 else nan,
+        "tanks_in_series": mean**2 / variance if sqrt(variance) > 1e-9 * mean else nan,
     }

@@ -333,7 +333,7 @@ class LaceyMetric(TwoComponentGrid):
                 "segregation, which weights particles by volume and excludes no cell"
             )
         elif np.isnan(index):
-            few = f"fewer than two cells contain {self.at_least} particles (at_least)"
+            few = f"fewer than two cells contain {self.at_least} particles (at_least), or all contain one"
             remark = f"the Lacey index is NaN: {few}; increase cell"
         else:
             remark = self.size_remark(particles["radius"], is_first)
@@ -1431,12 +1431,12 @@ class ProbeMetric(Metric):
         Quantity("position_x", "x", "m", "x component of the position of the particle"),
         Quantity("position_y", "y", "m", "y component of the position of the particle"),
         Quantity("position_z", "z", "m", "z component of the position of the particle"),
-        Quantity("velocity_x", "x", "m/s", "x component of the velocity of the particle"),
-        Quantity("velocity_y", "y", "m/s", "y component of the velocity of the particle"),
-        Quantity("velocity_z", "z", "m/s", "z component of the velocity of the particle"),
-        Quantity("angular_velocity_x", "x", "rad/s", "x component of the angular velocity of the particle"),
-        Quantity("angular_velocity_y", "y", "rad/s", "y component of the angular velocity of the particle"),
-        Quantity("angular_velocity_z", "z", "rad/s", "z component of the angular velocity of the particle"),
+        Quantity("velocity_x", "vx", "m/s", "x component of the velocity of the particle"),
+        Quantity("velocity_y", "vy", "m/s", "y component of the velocity of the particle"),
+        Quantity("velocity_z", "vz", "m/s", "z component of the velocity of the particle"),
+        Quantity("angular_velocity_x", "wx", "rad/s", "x component of the angular velocity of the particle"),
+        Quantity("angular_velocity_y", "wy", "rad/s", "y component of the angular velocity of the particle"),
+        Quantity("angular_velocity_z", "wz", "rad/s", "z component of the angular velocity of the particle"),
     )
 
     def faults_in(self, parts: CheckedParts) -> Iterator[Fault]:
