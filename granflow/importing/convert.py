@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 from granflow.errors import GranflowError
@@ -9,6 +10,7 @@ from granflow.importing import (
     deformation,
     deletion,
     geometry,
+    groups,
     heat,
     insertion,
     materials,
@@ -29,7 +31,6 @@ from granflow.importing.language import Command, DeckError, Interpreter
 from granflow.importing.report import NOT_POSSIBLE, Entry, Report
 from granflow.importing.restart import begin_script
 from granflow.importing.scene_text import Draft
-from granflow.schema.messages import nearest
 
 CODES = ("liggghts", "lammps")
 """Values of --code."""
@@ -37,6 +38,7 @@ FAMILIES = (
     schedule,
     materials,
     regions,
+    groups,
     geometry,
     deformation,
     meshes,
@@ -177,9 +179,14 @@ def fix(deck: Deck, command: Command, entry: Entry, fixes: Mapping[str, Translat
     translation.handler(deck, made)
 
 
+SLIP = 0.85
+"""Similarity of words from which one is a slip of the pen for the other."""
+
+
 def _similar(word: str, known: Iterable[str]) -> str:
-    """The known word that is nearest to an unknown one; empty without one."""
-    return nearest(word, list(known)) or ""
+    """The known word that an unknown one probably means, or what to do without it."""
+    found = get_close_matches(word, list(known), n=1, cutoff=SLIP)
+    return found[0] if found else "the script without the line, if it does not act on particles (--partial)"
 
 
 def _tell_box(deck: Deck) -> None:

@@ -176,11 +176,14 @@ class ParticleGroup:
 
 @dataclass
 class Points:
-    """Particles at the start, one row each: type, radius [m], density [kg/m3], position, velocity, spin.
+    """Particles at the start, one row each: id, type, radius [m], density [kg/m3], position, velocity, spin.
 
-    fill:  number of the random fill that a particle belongs to, from 0; -1 for particles at given positions
+    fill:     number of the random fill of a particle, from 0; -1 for particles at given positions
+    members:  masks (n,) of the groups of the script, which keep the particles that they have at their
+              command; None for a rule that is not known
     """
 
+    id: np.ndarray
     type: np.ndarray
     radius: np.ndarray
     density: np.ndarray
@@ -188,6 +191,7 @@ class Points:
     motion: np.ndarray
     fill: np.ndarray
     entries: list[Entry]
+    members: dict[str, np.ndarray | None]
 
 
 @dataclass

@@ -141,7 +141,7 @@ def build(deck: Deck, draft: Draft) -> None:
             path = f"stages.{names[index]}.deformation"
         for fix in fixes:
             if fix.acts_in(run):
-                fix.entry.translated(path)
+                fix.entry.translated(path, "its lower corner and faces are at rest, in the script its center")
 
 
 def _rates(deck: Deck, fix: Fix) -> dict[str, float]:

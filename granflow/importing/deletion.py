@@ -25,7 +25,7 @@ NEAREST = (
     "radius"
 )
 STYLES = ("group", "region", "overlap", "porosity", "random", "variable")
-POINT_ARRAYS = ("type", "radius", "density", "position", "motion", "fill")
+POINT_ARRAYS = ("id", "type", "radius", "density", "position", "motion", "fill")
 
 
 class NoCounterpart(Exception):
@@ -93,6 +93,8 @@ def _delete_points(
         return
     for name in POINT_ARRAYS:
         setattr(points, name, getattr(points, name)[~chosen])
+    points.members = {name: None if mask is None else mask[~chosen] for name, mask in points.members.items()}
+    points.id = np.argsort(np.argsort(points.id)) + 1  # compress yes, the default
     entry.translated("particles")
 
 

@@ -105,23 +105,19 @@ def freeze(deck: Deck, fix: Fix) -> None:
 
 
 def _freeze(deck: Deck) -> None:
-    """Make the groups of particles fixed that fix freeze holds: all, or those of some types."""
+    """Make the inserted particles fixed that fix freeze holds: those of its group by their insertion."""
+    templates = {fix.group for fix in deck.all_fixes if fix.style.startswith("particle")}
     for fix in deck.fixes_of("freeze"):
         if not deck.acting(fix):
             continue
-        group = deck.groups.get(fix.group)
-        if fix.group == "all":
-            frozen = list(deck.particles)
-        elif group is not None and group.rule == "type" and all(each.isdigit() for each in group.words):
-            frozen = [each for each in deck.particles if str(each.type) in group.words]
-        elif any("fixed" in each.keys for each in deck.particles):
-            frozen = []  # particles at given positions, which are fixed already
-        else:
-            fix.entry.impossible(
-                f"particles of the group {fix.group} that do not move",
-                "a type of their own for these particles: fixed: true belongs to a group of the scene",
-            )
-            continue
+        frozen = [
+            each
+            for each in deck.particles
+            for command in [each.entries[0].command]
+            if command.name == "fix" and fix.group in {"all", command.words[1], *templates}
+        ]
+        if not frozen and not any("fixed" in each.keys for each in deck.particles):
+            fix.entry.not_needed("the group has no particles")
         for each in frozen:
             each.keys["fixed"] = True
             fix.entry.translated(f"particles.{each.name}.fixed")
@@ -226,7 +222,13 @@ def _model(deck: Deck, fix: Fix, words: Words, stop: tuple[str, ...]) -> Model:
         words.word("granular")
         return granular_model(deck, words, fix.entry, stop)
     if first in ("hooke", "hooke/history", "hertz/history") and deck.code == "lammps":
-        return old_model(deck, words, fix.entry, words.word("the model"))
+        model = old_model(deck, words, fix.entry, words.word("the model"))
+        if first != "hooke" and model.numbers["mu"]:
+            fix.entry.approximated(
+                f"friction at walls is that of LAMMPS of 2021, and of particles; the walls {first} of LAMMPS "
+                "22 Jul 2025 have less of it"
+            )
+        return model
     if first[:1].isdigit() or first[:1] in ".-":
         main: Model | None = deck.family.get("model")
         style = "hertz/history" if main is not None and main.normal.startswith("hertz") else "hooke/history"

@@ -4,12 +4,14 @@ The scene has forces and walls for all particles. Particles that no fix integrat
 holds, are fixed; another fix on a part of the moving particles has no counterpart.
 """
 
+from collections.abc import Callable
+from math import pi
 from typing import Any
 
 import numpy as np
 
-from granflow.importing.deck import Deck, Fix, Group, Points, Words
-from granflow.importing.language import Command, DeckError
+from granflow.importing.deck import Deck, Fix, Group, Points, Translation, Words
+from granflow.importing.language import Command, DeckError, NotKnown
 from granflow.importing.regions import contains, region_of
 from granflow.importing.report import Entry
 from granflow.importing.scene_text import plain_name
@@ -29,25 +31,139 @@ INTEGRATORS = (
 MOVERS = ("nve", "nvt", "npt", "nph", "rigid", "multisphere")
 """First parts of the styles of all fixes of the codes that move particles, also of those without a
 counterpart."""
-FORCES = ("gravity", "addforce", "viscous", "wall/gran", "wall/gran/region")
+FORCES = ("gravity", "addforce", "viscous", "damping/cundall", "wall/gran", "wall/gran/region")
 """Styles of fixes that act on all moving particles of a scene."""
 BODIES = ("rigid", "rigid/small", "rigid/nve", "rigid/nve/small")
 """Styles of fixes that join particles to rigid bodies."""
+
+# The command
+
+GROUP_STYLES = (
+    *("region", "type", "id", "molecule", "variable", "include", "subtract", "union", "intersect"),
+    *("dynamic", "static", "clear", "empty", "delete"),
+)
+"""Styles of groups of both codes."""
+
+
+def group(deck: Deck, command: Command, entry: Entry) -> None:
+    """group ID STYLE ...: its particles become members, in addition to those of an earlier command."""
+    words = Words(deck, command, command.words)
+    name = words.word("the name of the group")
+    style = words.word("the style of the group")
+    if style not in GROUP_STYLES:
+        raise DeckError(command, f"groups have no style {style}; they have {', '.join(GROUP_STYLES)}.")
+    entry.not_needed("forces, walls and output of the scene apply to all particles")
+    points: Points | None = deck.family.get("points")
+    masks = {} if points is None else points.members
+    if style == "delete":
+        deck.groups.pop(name, None)
+        masks.pop(name, None)
+        return
+    if style == "static":
+        words.skip()
+        return
+    before = deck.groups.get(name)
+    is_alone = before is None or style in ("clear", "empty", "dynamic")
+    rule = style if is_alone else SEVERAL
+    deck.groups[name] = Group(name, rule, words.rest, entry, deck.time)
+    if points is not None:
+        mask = _mask_of(deck, command, points, style, deck.groups[name].words)
+        earlier = None if is_alone else masks.get(name)
+        masks[name] = mask if is_alone else None if mask is None or earlier is None else mask | earlier
+
+
+SEVERAL = "several"
+"""Rule of a group to which several commands add particles."""
+
+
+def _mask_of(
+    deck: Deck, command: Command, points: Points, style: str, words: tuple[str, ...]
+) -> np.ndarray | None:
+    """Mask (n,) of the particles that a rule chooses now; None for a rule that is not known."""
+    none = np.zeros(len(points.type), bool)
+    if style in ("clear", "empty"):
+        return none
+    if style == "region" and words and deck.time == 0.0:
+        return contains(deck, region_of(deck, command, words[0]), points.position)
+    if style in ("type", "id"):
+        return _compared(points.type if style == "type" else points.id, words)
+    if style == "variable" and words and deck.time == 0.0:
+        return particle_values(deck, command, points, words[0]) != 0.0
+    if style in ("union", "subtract", "intersect"):
+        masks = [chosen_points(deck, command, points, "group", each) for each in words]
+        if any(each is None for each in masks):
+            return None
+        if style == "subtract":
+            return np.asarray(masks[0] & ~np.any(masks[1:], axis=0))
+        return np.asarray((np.any if style == "union" else np.all)(masks, axis=0))
+    return None
+
+
+COMPARISONS: dict[str, Callable[..., np.ndarray]] = {
+    "<": np.less,
+    ">": np.greater,
+    "<=": np.less_equal,
+    ">=": np.greater_equal,
+    "==": np.equal,
+    "!=": np.not_equal,
+    "<>": lambda numbers, low, high: (numbers >= low) & (numbers <= high),
+}
+"""Comparisons of groups by type or id; <> has both ends."""
+
+
+def _compared(numbers: np.ndarray, words: tuple[str, ...]) -> np.ndarray | None:
+    """Which numbers (n,) are chosen by a comparison, or by ranges N, LOW:HIGH and LOW:HIGH:STEP."""
+    if words and words[0] in COMPARISONS:
+        given = words[1:]
+        if len(given) == (2 if words[0] == "<>" else 1) and all(each.isdigit() for each in given):
+            return np.asarray(COMPARISONS[words[0]](numbers, *map(int, given)))
+        return None
+    chosen = np.zeros(len(numbers), bool)
+    for word in words:
+        parts = word.split(":")
+        if len(parts) > 3 or not all(each.isdigit() for each in parts):
+            return None
+        low, high, step = ([int(each) for each in parts] + [int(parts[0]), 1][len(parts) - 1 :])[:3]
+        chosen |= (numbers >= low) & (numbers <= high) & ((numbers - low) % max(step, 1) == 0)
+    return chosen
+
 
 # Which particles a name means
 
 
 def chosen_points(deck: Deck, command: Command, points: Points, style: str, which: str) -> Any:
     """Mask (n,) of the particles that a style and a name choose; None if it is not known."""
-    everything = np.ones(len(points.type), bool)
+    if style == "group" and which != "all":
+        group_named(deck, command, which)
+        return points.members.get(which)
     if style == "group":
-        return everything if which == "all" else _members(deck, command, points, which)
+        return np.ones(len(points.type), bool)
     if style in ("type", "atom"):
-        numbers = points.type if style == "type" else np.arange(1, len(points.type) + 1)
-        return in_range(command, numbers, which)
+        return in_range(command, points.type if style == "type" else points.id, which)
     if style == "region":
         return contains(deck, region_of(deck, command, which), points.position)
     raise DeckError(command, f"set has no style {style}; it has group, type, atom and region.")
+
+
+def particle_values(deck: Deck, command: Command, points: Points, name: str) -> np.ndarray:
+    """The values (n,) of a variable in the units of the script, one for each particle. Raises DeckError."""
+    length, velocity = deck.si(1.0, "length"), deck.si(1.0, "velocity")
+    mass = points.density * points.radius**3 * 4.0 / 3.0 * pi / deck.si(1.0, "mass")
+    columns = {
+        **{"id": points.id, "type": points.type, "mass": mass, "radius": points.radius / length},
+        **{axis: points.position[:, k] / length for k, axis in enumerate("xyz")},
+        **{f"v{axis}": points.motion[:, k] / velocity for k, axis in enumerate("xyz")},
+        **{f"omega{axis}": points.motion[:, 3 + k] * deck.si(1.0, "time") for k, axis in enumerate("xyz")},
+    }
+    rows = np.stack([np.asarray(each, float) for each in columns.values()], axis=1).tolist()
+    try:
+        found = [deck.interpreter.value_at(name, **dict(zip(columns, row, strict=True))) for row in rows]
+    except NotKnown as error:
+        raise DeckError(
+            command,
+            f"v_{name} has no number for each particle: {error}; give a formula of x, y, z, id or type.",
+        ) from None
+    return np.array(found)
 
 
 def in_range(command: Command, numbers: np.ndarray, which: str) -> np.ndarray:
@@ -65,25 +181,6 @@ def group_named(deck: Deck, command: Command, name: str) -> Group:
     if name not in deck.groups:
         raise DeckError(command, f"there is no group {name}. Groups: {', '.join(['all', *deck.groups])}.")
     return deck.groups[name]
-
-
-def _members(deck: Deck, command: Command, points: Points, name: str) -> np.ndarray | None:
-    """Mask (n,) of the particles of a group; None for a style of groups that is not known."""
-    group = group_named(deck, command, name)
-    if group.rule == "region":
-        return contains(deck, region_of(deck, command, group.words[0]), points.position)
-    if group.rule in ("type", "id") and all(each.replace(":", "").isdigit() for each in group.words):
-        numbers = points.type if group.rule == "type" else np.arange(1, len(points.type) + 1)
-        ranges = ([int(each) for each in word.split(":")] for word in group.words)
-        return np.any([(numbers >= each[0]) & (numbers <= each[-1]) for each in ranges], axis=0)
-    if group.rule in ("union", "subtract", "intersect"):
-        masks = [chosen_points(deck, command, points, "group", each) for each in group.words]
-        if any(each is None for each in masks):
-            return None
-        if group.rule == "subtract":
-            return np.asarray(masks[0] & ~np.any(masks[1:], axis=0))
-        return np.asarray((np.any if group.rule == "union" else np.all)(masks, axis=0))
-    return None
 
 
 # What fixes leave out
@@ -186,15 +283,19 @@ def fixed_points(deck: Deck, points: Points) -> np.ndarray:
     if fixes and (moves & ~np.all(moved, axis=0)).any():
         fixes[-1].entry.approximated("particles that are integrated in some runs move in all of them")
     fixed = ~moves
+    carried = [_of_fix(deck, points, each) for each in deck.fixes_of("move") if each.data is not None]
     for fix in deck.fixes_of("freeze"):
-        if deck.acting(fix):
-            fixed |= _of_fix(deck, points, fix)
+        if deck.acting(fix) and (frozen := _of_fix(deck, points, fix)).any():
+            fixed |= frozen
+            fix.entry.translated("particles.NAME.fixed")
+            _tell_velocity(points, frozen, fix)
     for fix in deck.fixes_of("setforce"):
         if fix.data is not None:
             fixed |= _held(deck, points, fix, fixed)
     for fix in fixes:
         if fix.group != "all" and fixed.any():
             fix.entry.translated("particles.NAME.fixed of the others")
+            _tell_velocity(points, ~moves & ~np.any([none, *carried], axis=0), fix)
     for fix in deck.fixes_of(*FORCES):
         if deck.acting(fix) and (~fixed & ~_of_fix(deck, points, fix)).any():
             fix.entry.impossible(
@@ -202,6 +303,15 @@ def fixed_points(deck: Deck, points: Points) -> np.ndarray:
                 "the group all, or fixed: true for particles that do not move",
             )
     return fixed
+
+
+def _tell_velocity(points: Points, fixed: np.ndarray, fix: Fix) -> None:
+    """Say that particles which do not move have a velocity in the code, which its contacts take as one."""
+    if points.motion[fixed].any():
+        fix.entry.approximated(
+            "fixed particles have no velocity; in the script their velocity acts on their contacts, although "
+            "they do not move: set it to 0 there"
+        )
 
 
 def carried_points(deck: Deck, points: Points, fixed: np.ndarray) -> np.ndarray:
@@ -264,7 +374,19 @@ def _of_fix(deck: Deck, points: Points, fix: Fix) -> np.ndarray:
     """Mask (n,) of the particles of the group of a fix; all if the style of the group is not known."""
     found = chosen_points(deck, fix.entry.command, points, "group", fix.group)
     if found is None:
-        rule = deck.groups[fix.group].rule
-        fix.entry.impossible(f"the group {fix.group} of the style {rule}", "a group of a region, type or id")
+        group = deck.groups[fix.group]
+        when = f", made at {group.start:g} s" if group.start else ""
+        fix.entry.impossible(
+            f"the group {fix.group} of the style {group.rule}{when}",
+            "a group of a region, type or id, made before the first run",
+        )
         return np.ones(len(points.type), bool)
     return np.asarray(found)
+
+
+# Tables
+
+COMMANDS: dict[str, Translation] = {
+    "group": Translation(group, "not needed", "forces and walls apply to all particles"),
+}
+FIXES: dict[str, Translation] = {}

@@ -783,7 +783,7 @@ class Formula:
         variable = self.interpreter.variables.get(name)
         if variable is None:
             raise NotKnown(f"there is no variable {name}")
-        if variable.style in ("atom", "vector"):
+        if variable.style == "vector" or (variable.style == "atom" and "x" not in self.facts):
             raise NotKnown(f"the variable {name} has one value per particle", is_result=True)
         if variable.style == "result":
             raise NotKnown(variable.text, is_result=True)

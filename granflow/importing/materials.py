@@ -63,6 +63,7 @@ PROPERTIES: dict[str, Known] = {
     "coefficientRollingFriction": Known("number", "pairs.NAME.rolling_friction"),
     "coefficientRollingViscousDamping": Known("number", "pairs.NAME.rolling_damping"),
     "coeffRollingStiffness": Known("number"),
+    "rollingStiffness": Known("number", "contact.rolling"),
     "characteristicVelocity": Known("velocity", "contact.normal.stiffness.reference_velocity"),
     "cohesionEnergyDensity": Known("pressure", "pairs.NAME.cohesion_energy_density"),
     "coefficientMaxElasticStiffness": Known("number", "pairs.NAME.restitution"),
@@ -425,6 +426,8 @@ def _or_default(words: Words, what: str, dimension: str, default: float) -> floa
     return words.number(what, dimension)
 
 
+MINDLINS = ("mindlin", "mindlin/force", "mindlin_rescale", "mindlin_rescale/force")
+"""Tangential models of granular (LAMMPS) whose stiffness grows with the contact."""
 BY_NUMBER = ("tsuji", "coeff_restitution")
 """Damping models of granular (LAMMPS) whose number gives a restitution for each size and velocity."""
 DAMPINGS = (*BY_NUMBER, "viscoelastic", "velocity", "mass_velocity")
@@ -452,7 +455,8 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
             numbers["gamma"] = words.not_negative("gamma", "surface_energy")
     else:
         entry.impossible(f"the normal model {normal}", "hooke, hertz, hertz/material, dmt or jkr")
-        words.skip()
+        while words and words.next not in stop:
+            words.word("a word")
         return Model("hertz", "none", entry, normal, numbers={"mu": 0.0, "E": 1e7, "nu": 0.3, "eta": 0.5})
     while words and words.next not in stop:
         key = words.word("a keyword")
@@ -463,15 +467,15 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
             elif tangential == "linear_history":
                 numbers["kt"] = words.not_negative("k_t", "stiffness")
                 numbers["xt"], numbers["mu"] = words.not_negative("x_gamma,t"), words.not_negative("mu_s")
-            elif tangential.startswith("mindlin"):
+            elif tangential in MINDLINS:
                 if words.next == "NULL":
                     words.word("k_t")
                 else:
                     numbers["kt"] = words.not_negative("k_t", "pressure")
                 numbers["xt"], numbers["mu"] = words.not_negative("x_gamma,t"), words.not_negative("mu_s")
             else:
-                entry.impossible(f"the tangential model {tangential}", "linear_history or mindlin")
-                words.skip()
+                entry.impossible(f"the tangential model {tangential}", f"linear_history or {MINDLINS[0]}")
+                _skip_numbers(words)
         elif key == "rolling":
             rolling = words.word("the rolling model")
             if rolling == "sds":
@@ -481,7 +485,7 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
             elif rolling != "none":
                 entry.impossible(f"the rolling model {rolling}", "rolling sds")
                 rolling = "none"
-                words.skip()
+                _skip_numbers(words)
         elif key == "twisting":
             twisting = words.word("the twisting model")
             if twisting == "sds":
@@ -491,7 +495,7 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
             elif twisting not in ("none", "marshall"):
                 entry.impossible(f"the twisting model {twisting}", "twisting marshall or sds")
                 twisting = "none"
-                words.skip()
+                _skip_numbers(words)
         elif key == "damping":
             damping = words.word("the damping model")
             if damping not in DAMPINGS:
@@ -526,6 +530,12 @@ def granular_model(deck: Deck, words: Words, entry: Entry, stop: Sequence[str] =
         numbers=numbers,
         options=options,
     )
+
+
+def _skip_numbers(words: Words) -> None:
+    """Read the numbers of a part of a model that is not known."""
+    while is_number(words.next) or words.next == "NULL":
+        words.word("a number")
 
 
 def _poisson_ratio(words: Words) -> float:
@@ -857,6 +867,7 @@ class Contacts:
         for wall in self.walls:
             own = [each for each in self.sorts if each.type == wall.type]
             is_own = wall.model.normal.endswith("/stiffness")  # its restitution depends on the mass
+            is_own = is_own or wall.model.cohesion == "sjkr2"  # whose contact area is another one at walls
             if (
                 self.deck.code == "liggghts"
                 and self.model
@@ -1165,8 +1176,8 @@ class Contacts:
         if main.normal == "hooke/hysteresis":
             return 0.0
         if "xt" in main.numbers:  # granular of LAMMPS: a factor of its normal dashpot
-            ratio = self._zeta(main, radius, mass) / zeta if main.normal != "hertz/stiffness" else 1.0
-            return main.numbers["xt"] * ratio
+            varies = main.normal == "hertz/stiffness" or main.damping == "viscoelastic"  # with the overlap
+            return main.numbers["xt"] * (1.0 if varies else self._zeta(main, radius, mass) / zeta)
         gn, gt = self._gamma(main, i, mass)
         if main.normal == "hertz/stiffness":
             return gt / gn if gn else 0.0
@@ -1209,17 +1220,17 @@ class Contacts:
                 self._number("gamman_abs", model, i, i) / mass,
                 self._number("gammat_abs", model, i, i) / mass,
             )
-        return self._number("gamman", model, i, i), self._number("gammat", model, i, i)
+        unit = 1.0
+        if model.normal == "hertz/stiffness":  # read as a rate; it is one over a length
+            unit = self.deck.si(1.0, "hertz_damping") / self.deck.si(1.0, "rate")
+        return unit * self._number("gamman", model, i, i), unit * self._number("gammat", model, i, i)
 
     def _cohesion(self, model: Model) -> Any:
         if model.cohesion in ("sjkr", "sjkr2"):
-            if model.cohesion == "sjkr2":
+            if model.options.get("tangential_reduce"):
                 model.entry.approximated(
-                    "the contact area of sjkr2 is twice that of sjkr; the energy is doubled"
-                )
-            if not model.options.get("tangential_reduce"):
-                model.entry.approximated(
-                    "attraction does not change the limit of friction; in the script it lowers it"
+                    "attraction does not lower the limit of friction, as it does in the script with "
+                    "tangential_reduce"
                 )
             return "sjkr"
         if model.cohesion in ("dmt", "jkr"):
@@ -1305,7 +1316,7 @@ class Contacts:
             values["twisting_friction"] = model.numbers.get("mutw", 0.0)
         cohesion = (draft.get("contact") or {}).get("cohesion", "none")
         if cohesion != "none":
-            values |= self._cohesion_of(model, cohesion, first.type, type)
+            values |= self._cohesion_of(model, cohesion, first.type, type, second is None)
         elif values["friction"] and not model.options.get("limitForce"):
             limited = replace(model, options={**model.options, "limitForce": True})
             pulled = self._restitution(limited, first, second, type) - e
@@ -1325,25 +1336,51 @@ class Contacts:
             )
             return {"rolling_friction": model.numbers["mur"], "rolling_damping": round(min(ratio, 1.0), 4)}
         found = {"rolling_friction": self._number("coefficientRollingFriction", model, first.type, type)}
-        if model.rolling in ("epsd", "epsd3"):
+        if model.rolling == "cdt" and found["rolling_friction"]:
             model.entry.approximated(
-                f"the rolling stiffness of {model.rolling} follows from the tangential spring; in the script "
-                "from "
-                "the normal force"
+                "the rolling torque follows the normal force with its dashpot, in the script without it: "
+                "after an impact the surface velocity of the rotation differs by some percent"
             )
+        if model.rolling in ("epsd", "epsd3"):
+            self._remark_on_rolling(model, first.type, type, found["rolling_friction"])
             damping = self._number("coefficientRollingViscousDamping", model, first.type, type)
             found["rolling_damping"] = damping
         return found
 
-    def _cohesion_of(self, model: Model, law: Any, i: int, j: int) -> dict[str, Any]:
+    def _remark_on_rolling(self, model: Model, i: int, j: int, friction: float) -> None:
+        """Say how the rolling stiffness differs: kt R^2 in the scene, c kn mu^2 R^2 in the script."""
+        c = self._number("rollingStiffness", model, 1) if model.rolling == "epsd3" else 2.25
+        if model.normal == "hertz":  # kt / kn = 8 G* / (4/3 E*)
+            moduli = [self._moduli(i), self._moduli(j)]
+            shear = 1.0 / sum(2.0 * (2.0 - nu) * (1.0 + nu) / young for young, nu in moduli)
+            plane = 1.0 / sum((1.0 - nu**2) / young for young, nu in moduli)
+            ratio = 6.0 * shear / plane
+        elif model.normal.endswith("/stiffness"):
+            ratio = self._stiffness("kt", model, i, j) / self._stiffness("kn", model, i, j)
+        else:
+            ratio = 1.0
+        if friction and c:
+            times = ratio / (c * friction**2)
+            model.entry.approximated(
+                f"the rolling stiffness is that of the tangential spring, {times:.3g} times that of the "
+                f"script for the rolling friction {friction:g}"
+            )
+
+    def _cohesion_of(self, model: Model, law: Any, i: int, j: int, is_wall: bool) -> dict[str, Any]:
         if law == "sjkr":
             if model.cohesion == "none":
                 return {"cohesion_energy_density": 0}
-            factor = 2.0 if model.cohesion == "sjkr2" else 1.0
-            density = factor * self._number("cohesionEnergyDensity", model, i, j)
+            density = self._number("cohesionEnergyDensity", model, i, j)
+            if model.cohesion == "sjkr2" and not is_wall:  # the area 4 pi R* d; at walls 2 pi R d, as sjkr
+                density *= 2.0
             return {"cohesion_energy_density": quantity(density, "energy_density")}
         if law in ("jkr", "dmt"):
             energy = 2.0 * model.numbers.get("gamma", 0.0)
+            if energy and model.numbers.get("mu"):
+                model.entry.approximated(
+                    "friction is limited by mu times the Hertz force, in the script by mu |F + 2 Fp| with "
+                    f"the pull-off force Fp = {'4' if law == 'dmt' else '3'} pi gamma R*"
+                )
             return {"work_of_adhesion": quantity(energy, "surface_energy")}
         if model.cohesion == "none":
             return {"surface_tension": 0, "contact_angle": 0}
@@ -1571,7 +1608,7 @@ MODELS: tuple[tuple[str, str, str], ...] = (
     ("rolling_friction cdt, epsd2, epsd", "rolling: cdt, epsd, sds", ""),
     ("granular: rolling sds", "rolling: sds", "rolling stiffness of the tangential spring"),
     ("granular: twisting marshall, sds", "twisting: marshall, torsion_spring", ""),
-    ("cohesion sjkr, sjkr2", "cohesion: sjkr", "sjkr2: twice the energy density"),
+    ("cohesion sjkr, sjkr2", "cohesion: sjkr", "sjkr2: twice the energy density between particles"),
     (
         "cohesion easo/capillary/viscous",
         "cohesion: {law: capillary_transfer, viscous_force}, particles.NAME.liquid_content",

@@ -6,7 +6,7 @@ from math import hypot, inf, isnan, nan
 
 import numpy as np
 
-from granflow.importing.deck import Deck, Group, Region, Run, Translation, Vector, Words
+from granflow.importing.deck import Deck, Region, Run, Translation, Vector, Words
 from granflow.importing.language import Command, DeckError, NotKnown
 from granflow.importing.report import Entry
 
@@ -445,34 +445,12 @@ def lattice_spacing(deck: Deck, command: Command) -> float:
     return spacing
 
 
-GROUP_STYLES = (
-    *("region", "type", "id", "molecule", "variable", "include", "subtract", "union", "intersect"),
-    *("dynamic", "static", "clear", "empty", "delete"),
-)
-"""Styles of groups of both codes."""
-
-
-def group(deck: Deck, command: Command, entry: Entry) -> None:
-    """group ID STYLE ..."""
-    words = Words(deck, command, command.words)
-    name = words.word("the name of the group")
-    style = words.word("the style of the group")
-    if style not in GROUP_STYLES:
-        raise DeckError(command, f"groups have no style {style}; they have {', '.join(GROUP_STYLES)}.")
-    if style == "delete":
-        deck.groups.pop(name, None)
-    else:
-        deck.groups[name] = Group(name, style, words.rest, entry, deck.time)
-    entry.not_needed("forces, walls and output of the scene apply to all particles")
-
-
 # Tables
 
 COMMANDS: dict[str, Translation] = {
     "region": Translation(
         region, "walls, insert.region", "block, cylinder, cone, sphere, plane, union, intersect"
     ),
-    "group": Translation(group, "not needed", "forces and walls apply to all particles"),
     "lattice": Translation(lattice, "not needed", "none, sc, bcc, fcc, diamond, custom"),
 }
 FIXES: dict[str, Translation] = {}

@@ -29,6 +29,7 @@ from granflow.importing.report import Entry
 from granflow.importing.scene_text import Draft, quantities, quantity
 from granflow.io.tables import is_number
 from granflow.scene.blocks.gravity import MOST_ROWS
+from granflow.scene.blocks.run import LARGEST_CUNDALL
 from granflow.schema.messages import suggestion_sentence
 
 LARGEST_FRAMES = 2000
@@ -234,6 +235,19 @@ def viscous(deck: Deck, fix: Fix) -> None:
         fix.entry.impossible(f"the keyword {words.next} of viscous", "one coefficient for all types")
 
 
+def cundall(deck: Deck, fix: Fix) -> None:
+    """fix ID group damping/cundall GAMMA_L GAMMA_A: forces and torques that are lower if they accelerate."""
+    words = Words(deck, fix.entry.command, fix.words)
+    fix.data, angular = words.not_negative("gamma_l"), words.not_negative("gamma_a")
+    if words:
+        fix.entry.impossible(f"the keyword {words.next} of damping/cundall", "one ratio for all types")
+    if fix.data > LARGEST_CUNDALL:
+        fix.entry.impossible(f"a ratio above {LARGEST_CUNDALL}", f"damping: {{cundall: {LARGEST_CUNDALL}}}")
+        fix.data = None
+    elif angular != fix.data:
+        fix.entry.approximated(f"torques are damped by {fix.data:g} as forces, in the script by {angular:g}")
+
+
 def addforce(deck: Deck, fix: Fix) -> None:
     """fix ID group addforce FX FY FZ: a constant force, an acceleration of particles of one mass."""
     if all(map(is_number, fix.words[:3])) and len(fix.words) == 3:
@@ -385,7 +399,7 @@ def build(deck: Deck, draft: Draft) -> None:
         draft.put(("run", "time_step"), quantity(steps[0] if steps else deck.time_step, "time"), *entries)
         if len(steps) > 1 and entries:
             entries[0].approximated(
-                f"the time step changes to {steps[-1]:g} s; the smallest is taken for all"
+                f"runs have time steps from {steps[0]:g} to {steps[-1]:g} s; the smallest is taken for all"
             )
     draft.put(
         ("numerics", "max_overlap"),
@@ -571,7 +585,7 @@ def stage_names(deck: Deck) -> dict[int, str]:
     return names if count > 1 else {}
 
 
-STAGED: set[str] = {"viscous", "cundall", "addforce"}
+STAGED: set[str] = {"viscous", "damping/cundall", "addforce"}
 """Styles of fixes whose begin or end makes a new stage; the families add theirs."""
 
 
@@ -603,28 +617,46 @@ def _stages(deck: Deck, draft: Draft) -> None:
 
 
 def _damping(deck: Deck, draft: Draft) -> None:
-    for fix in deck.fixes_of("viscous"):
-        if not deck.acting(fix) or not isinstance(fix.data, float):
-            continue
-        if "lees_edwards" in deck.family:
+    """The damping of the scene: the sum of all fixes, in the stages of all runs in which it is the same."""
+    masses = _masses(deck)
+    fixes = [each for each in deck.fixes_of("viscous", "damping/cundall") if isinstance(each.data, float)]
+    fixes = [each for each in fixes if each.data and deck.acting(each)] if masses else []
+    if not fixes:
+        return
+    if "lees_edwards" in deck.family:
+        for fix in fixes:
             fix.entry.impossible(
-                "drag in a box that is sheared, in which no frame is at rest",
+                "damping in a box that is sheared, in which no frame is at rest",
                 "a scene that settles the particles with damping, and one that shears them (start_from)",
             )
-            continue
-        masses = _masses(deck)
-        if not masses:
-            continue
-        rate = fix.data / (sum(masses) / len(masses))
-        stages = stages_of(deck, fix)
-        value = {"drag": quantity(rate, "rate"), **({"stages": stages} if stages else {})}
-        draft.put(("damping",), value, fix.entry)
-        if max(masses) > 1.000001 * min(masses):
-            spread = 100 * (max(masses) / min(masses) - 1)
-            fix.entry.approximated(
-                f"the drag of granflow is proportional to the mass, which differs by {spread:.3g} %"
+        return
+    found: dict[tuple[float, float], list[Run]] = {}
+    for run in (each for each in deck.runs if each.steps):
+        acting = [fix for fix in fixes if fix.acts_in(run)]
+        drag = sum(fix.data for fix in acting if fix.style == "viscous") / (sum(masses) / len(masses))
+        ratios = [fix for fix in acting if fix.style == "damping/cundall"]
+        for fix in ratios[1:]:
+            fix.entry.impossible("two Cundall ratios at a time", "one fix damping/cundall")
+        if acting:
+            found.setdefault((drag, ratios[0].data if ratios else 0.0), []).append(run)
+    (drag, ratio), runs = next(iter(found.items()))
+    entries = [fix.entry for fix in fixes if any(fix.acts_in(run) for run in runs)]
+    keys: dict[str, Any] = {"drag": quantity(drag, "rate")} if drag else {}
+    keys |= {"cundall": ratio} if ratio else {}
+    stages = stages_of_runs(deck, runs)
+    draft.put(("damping",), {**keys, **({"stages": stages} if stages else {})}, *entries)
+    for fix in fixes:
+        if fix.entry not in entries:
+            fix.entry.impossible(
+                "damping that changes between runs", "a scene for each, the second with start_from"
             )
-        fix.entry.approximated("the drag of granflow also damps the rotation")
+        if fix.style == "viscous":
+            if max(masses) > 1.000001 * min(masses):
+                spread = 100 * (max(masses) / min(masses) - 1)
+                fix.entry.approximated(
+                    f"the drag of granflow is proportional to the mass, which differs by {spread:.3g} %"
+                )
+            fix.entry.approximated("the drag of granflow also damps the rotation")
 
 
 def _output(deck: Deck, draft: Draft) -> None:
@@ -694,12 +726,16 @@ COMMANDS: dict[str, Translation] = {
     "modify_timing": not_needed("granflow writes its timings"),
     "soft_particles": not_needed("numerics.max_overlap permits large overlaps"),
     "hard_particles": not_needed("moduli have no upper limit"),
+    "special_bonds": not_needed("particles have no bonds"),
+    "reset_atoms": not_needed("particles keep their ids"),
+    "reset_atom_ids": not_needed("particles keep their ids"),
     "write_header": not_needed("text of the code"),
 }  # fmt: skip
 
 FIXES: dict[str, Translation] = {
     "gravity": Translation(gravity, "gravity", "vector, chute, spherical; variables of time become a table"),
     "viscous": Translation(viscous, "damping.drag", "a rate: the coefficient over the mass"),
+    "damping/cundall": Translation(cundall, "damping.cundall", "one ratio for forces and torques"),
     "nve/sphere": Translation(nve_sphere, "not needed", "particles that are not fixed are integrated"),
     "nve": Translation(nve, "not needed", "in the scene the particles rotate"),
     "check/timestep/gran": not_needed("granflow check verifies the time step"),
@@ -731,6 +767,25 @@ FIXES: dict[str, Translation] = {
     "setforce": Translation(setforce, "particles.NAME.fixed", "0 0 0 of particles without velocity"),
     "addforce": Translation(addforce, "gravity", "the force over the mass, if all particles have one mass"),
     "aveforce": impossible("aveforce", "a Python program that sets forces"),
+    **dict.fromkeys(
+        ("planeforce", "lineforce", "oneway"),
+        impossible("motion along some directions only", "a layer one diameter thick between two planes"),
+    ),
+    **dict.fromkeys(
+        ("spring", "spring/self", "spring/chunk", "spring/rg", "drag", "addtorque", "addtorque/group",
+         "viscous/sphere", "smd", "restrain", "tmd"),
+        impossible("forces and torques beside those of contacts", "gf.ParticleForces of a Python program"),
+    ),
+    "nve/noforce": impossible("particles that keep their velocity", "fix move linear VX VY VZ"),
+    "dt/reset": impossible(
+        "a time step that follows the simulation", "run.time_step: adaptive, or a constant timestep"
+    ),
+    "halt": impossible("the end of a run at a condition", "stages.NAME.until of the scene"),
+    **dict.fromkeys(
+        ("evaporate", "deposit"),
+        impossible("particles that come or go at random", "insert: {kind: rain}, or outlets of the scene"),
+    ),
+    "heat/flow": impossible("temperatures of LAMMPS", "particles.NAME.temperature and contact.heat"),
     "efield": impossible("electric fields", "a Python program that adds forces (notebook drag_and_field)"),
     "buoyancy": impossible("buoyancy", "a Python program that adds forces"),
     "enforce2d": impossible("two-dimensional simulations", "a layer one diameter thick between two walls"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from granflow.importing.deck import Deck, Fix, Points, Region, Translation, Words
-from granflow.importing.groups import chosen_points, group_named, in_range
+from granflow.importing.groups import chosen_points, group_named, in_range, particle_values
 from granflow.importing.heat import HEAT
 from granflow.importing.insertion import group_name
 from granflow.importing.language import Command, DeckError, NotKnown, shortest
@@ -48,7 +48,7 @@ class Setting:
 
 def set_(deck: Deck, command: Command, entry: Entry) -> None:
     """set group|type|atom|region WHICH KEYWORD VALUE ..."""
-    words = Words(deck, command, tuple(_value_of(deck, command, each) for each in command.words))
+    words = _with_values(deck, command)
     style, which = words.word("the style"), words.word("the name")
     if style == "region":
         region_of(deck, command, which)
@@ -74,19 +74,27 @@ def set_(deck: Deck, command: Command, entry: Entry) -> None:
         elif key in ("type/fraction", "type/ratio", "type/subset"):
             _set_types(words, points, chosen, entry, key)
         elif key == "diameter":
-            points.radius[chosen] = 0.5 * words.positive("the diameter", "length")
+            _set_diameter(deck, words, points, chosen, entry)
         elif key == "density":
-            points.density[chosen] = words.positive("the density", "density")
+            points.density[chosen] = _positive(words, points, chosen, "the density", "density")
+        elif key == "mass":
+            mass = _positive(words, points, chosen, "the mass", "mass")
+            points.density[chosen] = mass / (4.0 / 3.0 * pi * points.radius[chosen] ** 3)
+            deck.own("with_mass", set).update(points.id[chosen].tolist())
         elif key in ("x", "y", "z"):
-            points.position[chosen, "xyz".index(key)] = words.number("the position", "length")
+            column = "xyz".index(key)
+            points.position[chosen, column] = _values(words, points, chosen, "the position", "length")
         elif key in ("vx", "vy", "vz"):
-            points.motion[chosen, "xyz".index(key[1])] = words.number("the velocity", "velocity")
+            column = "xyz".index(key[1])
+            points.motion[chosen, column] = _values(words, points, chosen, "the velocity", "velocity")
         elif key in ("omegax", "omegay", "omegaz"):
-            points.motion[chosen, 3 + "xyz".index(key[5])] = words.number("the rate", "angular_velocity")
+            column = 3 + "xyz".index(key[5])
+            points.motion[chosen, column] = _values(words, points, chosen, "the rate", "angular_velocity")
         elif key == "omega":
-            points.motion[chosen, 3:] = words.vector("the angular velocity", "angular_velocity")
+            for column in (3, 4, 5):
+                points.motion[chosen, column] = _values(words, points, chosen, "the rate", "angular_velocity")
         else:
-            entry.impossible(f"the keyword {key} of set")
+            entry.impossible(f"the keyword {key} of set", "type, diameter, density, mass, x, vx, omegax")
             words.skip()
     entry.translated("particles")
 
@@ -112,6 +120,46 @@ def _set_types(words: Words, points: Points, chosen: np.ndarray, entry: Entry, k
     entry.approximated("the particles of the type are other random ones than those of the code")
 
 
+def _set_diameter(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
+    """diameter D: LAMMPS keeps the mass, LIGGGHTS the density (measured with 22 Jul 2025 and 3.8.0)."""
+    radius = 0.5 * _positive(words, points, chosen, "the diameter", "length")
+    if deck.code == "lammps":
+        points.density[chosen] *= (points.radius[chosen] / radius) ** 3
+    elif deck.own("with_mass", set) & set(points.id[chosen].tolist()):
+        entry.impossible("a diameter after the mass, which the code forgets then", "the diameter first")
+    points.radius[chosen] = radius
+
+
+def _with_values(deck: Deck, command: Command) -> Words:
+    """The words of a command with the values of v_NAME; those of atom-style variables remain names."""
+    variables = deck.interpreter.variables
+    kept = (f"v_{name}" for name, each in variables.items() if each.style == "atom")
+    names = {*kept}
+    return Words(
+        deck,
+        command,
+        tuple(word if word in names else _value_of(deck, command, word) for word in command.words),
+    )
+
+
+def _values(words: Words, points: Points, chosen: np.ndarray, what: str, dimension: str) -> np.ndarray:
+    """The next number in SI units, for each of the chosen particles; of an atom-style variable, too."""
+    deck = words.deck
+    if words.next.startswith("v_"):
+        name = words.word(what).removeprefix("v_")
+        values = particle_values(deck, words.command, points, name)[chosen]
+        return np.asarray(deck.si(1.0, dimension) * values)
+    return np.full(int(chosen.sum()), words.number(what, dimension))
+
+
+def _positive(words: Words, points: Points, chosen: np.ndarray, what: str, dimension: str) -> np.ndarray:
+    """As `_values`, for numbers above 0. Raises DeckError."""
+    found = _values(words, points, chosen, what, dimension)
+    if len(found) and found.min() <= 0.0:
+        raise DeckError(words.command, f"{what} is {words.words[words.at - 1]}; give a number above 0.")
+    return found
+
+
 def _value_of(deck: Deck, command: Command, word: str) -> str:
     """The value of v_NAME; other words as they are. Raises DeckError."""
     if not word.startswith("v_"):
@@ -128,7 +176,7 @@ BOLTZMANN = {"si": 1.380649e-23, "cgs": 1.380649e-16, "micro": 1.380649e-8, "nan
 
 def velocity(deck: Deck, command: Command, entry: Entry) -> None:
     """velocity GROUP set VX VY VZ | create T SEED | scale T | ramp VX LO HI X LO HI | zero linear"""
-    words = Words(deck, command, tuple(_value_of(deck, command, each) for each in command.words))
+    words = _with_values(deck, command)
     group = words.word("a group")
     style = words.word("the style")
     points: Points | None = deck.family.get("points")
@@ -157,13 +205,13 @@ def _spacing(deck: Deck, words: Words) -> float:
 
 def _set_velocity(deck: Deck, words: Words, points: Points, chosen: np.ndarray, entry: Entry) -> None:
     spacing = _spacing(deck, words)
-    given: list[float | None] = []
+    given: list[np.ndarray | None] = []
     for _ in range(3):
         if words.next == "NULL":
             words.word("a velocity")
             given.append(None)
         else:
-            given.append(spacing * words.number("a velocity", "velocity"))
+            given.append(spacing * _values(words, points, chosen, "a velocity", "velocity"))
     is_added = _options(words, {"sum": "no", "units": "box"})["sum"] == "yes"
     for k, value in enumerate(given):
         if value is not None:

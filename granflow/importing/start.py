@@ -124,30 +124,45 @@ def read_data(deck: Deck, command: Command, entry: Entry) -> None:
     motion = np.array([velocities.get(int(row[0]), [0.0] * 6) + [0.0] * 6 for row in rows])[:, :6]
     motion[:, :3] *= unit["velocity"]
     motion[:, 3:] *= unit["angular_velocity"]
-    _add_points(deck, table[:, 1], table[:, 2] / 2.0, table[:, 3], table[:, 4:7], motion, entry)
+    given = (table[:, 1], table[:, 2] / 2.0, table[:, 3], table[:, 4:7], motion)
+    _add_points(deck, *given, entry, id=table[:, 0])
 
 
 def _add_points(
-    deck: Deck, type: Any, radius: Any, density: Any, position: Any, motion: Any, entry: Entry, fill: int = -1
+    deck: Deck,
+    type: Any,
+    radius: Any,
+    density: Any,
+    position: Any,
+    motion: Any,
+    entry: Entry,
+    fill: int = -1,
+    id: Any = None,
 ) -> None:
-    """Add particles at given positions, or those of a random fill."""
+    """Add particles at given positions, or those of a random fill; they are members of no group so far."""
     found: Points | None = deck.family.get("points")
-    type = np.array(type, int)
+    count = len(type)
+    id = np.arange(count) + (1 if found is None else found.id.max(initial=0) + 1) if id is None else id
+    added = {
+        "id": np.array(id, int),
+        "type": np.array(type, int),
+        "radius": np.array(radius, float),
+        "density": np.array(density, float),
+        "position": np.array(position, float),
+        "motion": np.array(motion, float),
+        "fill": np.full(count, fill),
+    }
+    outside = np.zeros(count, bool)
     if found is None:
-        deck.family["points"] = Points(
-            type, np.array(radius, float), np.array(density, float), np.array(position, float),
-            np.array(motion, float), np.full(len(type), fill), [entry],
-        )  # fmt: skip
+        known = {name: None if each.rule == "dynamic" else outside for name, each in deck.groups.items()}
+        deck.family["points"] = Points(**added, entries=[entry], members=known)
         return
-    for name, value in (
-        ("type", type),
-        ("radius", radius),
-        ("density", density),
-        ("position", position),
-        ("motion", motion),
-        ("fill", np.full(len(type), fill)),
-    ):
+    for name, value in added.items():
         setattr(found, name, np.concatenate([getattr(found, name), value]))
+    found.members = {
+        name: None if mask is None else np.concatenate([mask, outside])
+        for name, mask in found.members.items()
+    }
     found.entries.append(entry)
 
 

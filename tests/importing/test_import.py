@@ -91,6 +91,9 @@ MASS = 2500 * pi / 6 * 0.004**3
         ({"properties": ROLLING, "model": f"{HERTZ} rolling_friction cdt"}, "pairs.type1-type2.rolling_friction", 2),
         ({"properties": "fix m5 all property/global cohesionEnergyDensity peratomtypepair 2 1e5 1e5 1e5 2e5",
           "model": f"{HERTZ} cohesion sjkr2"}, "pairs.type2-type2.cohesion_energy_density", "400 kJ/m3"),
+        # The area of sjkr2 is 4 pi R* d for spheres, but 2 pi R d at walls, as that of sjkr.
+        ({"properties": pairwise(cohesionEnergyDensity=1e5), "model": f"{HERTZ} cohesion sjkr2"},
+         "pairs.type1-wall.cohesion_energy_density", "100 kJ/m3"),
         # below sqrt(k1 / kp) = 0.5 of the plastic spring alone
         (HYSTERESIS, "pairs.type1-type1.restitution", 0.335308),
         (HYSTERESIS, "contact.normal", {"law": "luding", "stiffness": {"reference_velocity": "2 m/s"},
@@ -438,7 +441,8 @@ def test_runs_that_separate_random_particles_are_left_out(tmp_path):
     assert group["velocity"] == ["100 mm/s", 0, 0] and group["insert"]["kind"] == "pack"
 
 
-STARTS = """variable speed equal 1+2
+STARTS = """variable half equal 0.5
+variable speed atom 2+v_half*id
 set atom 2 vx v_speed
 region r cylinder z 0.5 0.5 0.1 1 2
 region s sphere 0.4 0.4 0.4 0.18
@@ -463,6 +467,69 @@ def test_particles_of_a_file(tmp_path):
     expected = [[0.5, 0.5, 0.5, 0.1, 0, 7, 2, 0, 0, 0], [0.5, 0.5, 1.5, 0.2, 3, 0, 0, 5, 0, 0]]
     assert [[float(each) for each in row] for row in rows] == expected
     assert scene["domain"]["max"] == ["1 m", "1 m", "2 m"]
+
+
+@pytest.mark.parametrize(
+    ("commands", "moved"),
+    [
+        ("group a type 1", [1]),
+        ("group a union early", []),
+        ("region low block INF INF INF INF INF 0.015\ngroup a region low\nset group all z 0.05", [1]),
+        ("group a type 1\ngroup a id 2", [1, 2]),
+        ("group a id 1:2:2", [1]),
+        ("group a type > 1", [2]),
+        ("variable up atom z>0.015\ngroup a variable up", [2]),
+        ("create_atoms 1 single 0.05 0.05 0.08\nset atom 3 diameter 0.004 density 2500\ngroup a subtract all two", [1, 3]),
+        ("group a type 1\ndelete_atoms group two", [1]),
+    ],
+)  # fmt: skip
+def test_groups_have_the_particles_of_their_command(tmp_path, commands, moved):
+    """One particle of each type, the second above; the group `early` precedes them. So it is in LAMMPS 22 Jul 2025."""
+    atoms = f"group early type 1\n{ATOMS}\n{commands}\nvelocity a set 1 0 0"
+    found, _ = imported(tmp_path, lammps(atoms=atoms))
+    assert found.report.is_complete
+    counts = [data.decode().count(",1,0,0,0,0,0") for data in found.files.values()]
+    assert sum(counts) == len(moved) and found.files["type1.csv"].decode().count(",1,0,") == len(
+        {*moved} - {2}
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "words", "mass"),
+    [
+        ("lammps", "density 2500 diameter 0.01", 1309),
+        ("lammps", "mass 0.002 diameter 0.01", 0.002),
+        ("lammps", "diameter 0.01 density 2500 diameter 0.02", 0.001309),
+        ("liggghts", "density 2500 diameter 0.01", 0.001309),
+        ("liggghts", "diameter 0.01 mass 0.002", 0.002),
+        ("liggghts", "diameter 0.01 density 2500 diameter 0.02", 0.010472),
+    ],
+)
+def test_mass_of_particles_whose_diameter_is_set(tmp_path, code, words, mass):
+    """Masses of LAMMPS 22 Jul 2025, which keeps them, and of LIGGGHTS 3.8.0, which keeps the density."""
+    atoms = f"create_atoms 1 single 0.05 0.05 0.1\nset type 1 {words}"
+    text = lammps(atoms=atoms) if code == "lammps" else liggghts(insertion=atoms)
+    found, scene = imported(tmp_path, text)
+    radius = float(found.files["type1.csv"].decode().splitlines()[1].split(",")[3])
+    density = scene["materials"]["type1"]["density"]
+    assert found.report.is_complete and density * 4 / 3 * pi * radius**3 == pytest.approx(mass, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("end", "damping", "stages"),
+    [
+        ("fix v all viscous 1e-3\nfix w all viscous 2e-3\nrun 9", {"drag": 3e-3 / MASS}, None),
+        ("fix v all viscous 1e-3\nrun 9\nunfix v\nrun 9\nfix v all viscous 1e-3\nrun 9", {"drag": 1e-3 / MASS}, [1, 3]),
+        ("fix v all damping/cundall 0.2 0.2\nrun 9\nunfix v\nrun 9", {"cundall": 0.2}, [1]),
+    ],
+)  # fmt: skip
+def test_damping(tmp_path, end, damping, stages):
+    """The codes add the drag of all fixes."""
+    _, scene = imported(tmp_path, lammps(atoms=ATOMS, end=end))
+    names = scene["damping"].pop("stages", None)
+    assert names == (stages and [f"stage_{number}" for number in stages])
+    found = {key: to_si(value, "rate") if key == "drag" else value for key, value in scene["damping"].items()}
+    assert found == pytest.approx(damping)
 
 
 def test_names_with_capitals_and_of_two_cases(tmp_path):
