@@ -138,6 +138,21 @@ def test_fabric_of_known_directions():
     assert metric.anisotropy(np.eye(3) / 3.0) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize(("region", "expected"), [({}, [0.5, 0.5, 0.0, 0.5]), (
+    {"region": {"min": [0.9, -1.0, -1.0], "max": [1.0, 1.0, 1.0]}}, [1.0, 1.0, 0.0, 0.0]
+)])  # fmt: skip
+def test_fabric_of_contacts_across_a_face_and_without_separated_pairs(region, expected):
+    """A contact along x with the middle at -0.05, which is 0.95 in the periodic box; one along z at 0.5; along y a
+    pair at a distance at 0.95."""
+    begin = np.array([[0.05, 0.0, 0.0], [0.5, 0.0, 0.0], [0.95, 0.0, 0.0]])
+    branch = np.array([[-0.2, 0.0, 0.0], [0.0, 0.0, 0.2], [0.0, 0.2, 0.0]])
+    contacts = {"position_i": begin, "position_j": begin + branch}
+    domain = {"min": [0.0, -1.0, -1.0], "max": [1.0, 1.0, 1.0], "periodic": "x", "on_exit": "error"}
+    contacts |= {"wall": np.full(3, -1), "overlap": np.array([1e-3, 1e-3, -1e-3])}
+    meter = measured(snapshot_of(contacts=contacts), domain, kind="fabric", **region)
+    assert list(meter.readings().values()) == pytest.approx(expected)
+
+
 def lattice_contacts(spacing, count, forces):
     """Contacts between neighbors of a cubic lattice; repulsive forces (3,) [N] along x, y and z."""
     nodes = np.argwhere(np.ones((count,) * 3)).astype(float)

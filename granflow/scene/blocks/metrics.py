@@ -867,8 +867,11 @@ class FabricMetric(Metric):
     def measure(self, snapshot: Snapshot, scene: MeasuredScene) -> Reading:
         """See `Metric`; of the contacts with midpoints inside the region."""
         contacts = touching(snapshot.contacts or {})
-        middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
-        tensor = fabric_tensor(selected(contacts, _inside(middle, self.region)))
+        if self.region is not None:  # the midpoint of a contact across a periodic face can be outside the box
+            middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
+            box = scene.domain.periodic_box().at(snapshot.time)
+            contacts = selected(contacts, _inside(box.wrap(middle), self.region))
+        tensor = fabric_tensor(contacts)
         parts = {f"fabric_{axis}{axis}": float(tensor[k, k]) for k, axis in enumerate("xyz")}
         return Reading({"fabric_anisotropy": anisotropy(tensor)} | parts)
 
