@@ -14,8 +14,10 @@ from math import ceil, expm1, floor, inf, pi, sqrt
 import numpy as np
 
 from granflow.contact import registry
+from granflow.geometry.mesh import Mesh
 from granflow.geometry.periodic_box import AXES
 from granflow.geometry.sphere import sphere_volume
+from granflow.geometry.surface import Surface
 from granflow.load import Scene
 from granflow.particles.group import SceneGroup
 from granflow.particles.insertion import DUE_TOLERANCE, MAX_BATCHES
@@ -37,9 +39,10 @@ from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, surface_speed, wall_speeds
 from granflow.scene.blocks.gravity import AnyGravity, ChangingGravity
 from granflow.scene.blocks.insertions import TimedInsertion
-from granflow.scene.blocks.motions import TimedMotion, poses_at
+from granflow.scene.blocks.motions import RockingRotation, SurfaceVelocity, TimedMotion, poses_at
 from granflow.scene.blocks.output import unit_of
 from granflow.scene.blocks.particles import Group
+from granflow.scene.blocks.primitives import RotationStep
 from granflow.scene.blocks.walls.wall import Wall
 from granflow.visible_text import alternatives
 
@@ -58,6 +61,7 @@ def forecasts_of(plan: Plan) -> Iterator[Forecast]:
     findings = chain(
         ((path, rest) for path, is_mistake, rest in rows if is_mistake),
         oversizes(scene),
+        drained_groups(scene),
         unreachable_walls(scene, plan.walls, times),
         turned_out_findings(plan, times),
         region_findings(plan, times),
@@ -434,6 +438,12 @@ MOST_FRICTION = 5.0
 """Coefficient of friction above that of all granular materials."""
 FASTEST_SURFACE = 10.0
 """Surface speed of a wall [m/s] above that of drums, mixers and conveyors."""
+COLDEST = 77.0
+"""Temperature [K] below that of liquid nitrogen, probably in degrees Celsius."""
+FULL_TURN = 2.0 * pi
+"""Angle [rad] above which a rotation, phase or swing is probably in degrees."""
+LEAST_ALONG = 0.99
+"""Share of the velocity of a belt in its surface below which there is a warning."""
 PERIOD_TOLERANCE = 0.01
 """Largest relative deviation of an interval from an odd multiple of half a period."""
 
@@ -476,16 +486,33 @@ def value_rows(
             is_unused = "cohesion" in models and scene.contact.name("normal") not in models.get("normal", ())
             yield ("pairs", name, key), is_unused, text
 
-    for name, turning in scene.walls.items():
-        rotations = [
-            each.numeric(scene.usual_gravity) for each in turning.motion if hasattr(each, "angular_velocity")
-        ]
-        speed = max((each.top_speed(0.5 * scene.domain.diagonal) for each in rotations), default=0.0)
-        text = (
-            f": the rotation moves walls at up to {speed:.3g} m/s. Angular velocities are in rad/s: write 30 "
-            "rpm or 180 deg/s with the unit."
+    for wall in plan.walls:
+        rotations = [each for each in wall.motions if hasattr(each, "angular_velocity")]
+        reaches = [wall.surface.farthest_from(*each.point_and_axis) for each in rotations]
+        speed = max(
+            (
+                each.top_speed(min(reach, 0.5 * scene.domain.diagonal))
+                for each, reach in zip(rotations, reaches, strict=True)
+            ),
+            default=0.0,
         )
-        yield ("walls", name, "motion"), speed > FASTEST_SURFACE, text
+        text = (
+            f": the rotation moves walls at up to {speed:.3g} m/s. Angular velocities without a unit are in "
+            "rad/s: write 30 rpm or 180 deg/s."
+        )
+        yield ("walls", wall.name, "motion"), speed > FASTEST_SURFACE, text
+    for path, angle in _angles(scene):
+        text = f" is {angle:.4g} rad, more than a full turn: angles are in rad. Write 90 deg with the unit."
+        yield path, abs(angle) > FULL_TURN, text
+    for path, temperature in _temperatures(scene):
+        text = f" is {temperature:.4g} K, colder than liquid nitrogen: temperatures are in K. Write 20 degC."
+        yield path, temperature < COLDEST, text
+    for path, speed, along in _belts(plan):
+        text = (
+            f": the velocity has the magnitude {speed:.3g} m/s, but only its component along the surface, at "
+            f"most {along:.3g} m/s, acts on particles. Give a velocity in the plane of the wall."
+        )
+        yield path, along < LEAST_ALONG * speed, text
     for path, motion in chain(_wall_motions(scene), scene.gravity_motions()):
         text = (
             f": the motion begins at {motion.start_time:.3g} s, but the run ends at {end:.3g} s: it has no "
@@ -580,6 +607,62 @@ def _wall_motions(scene: Scene) -> Iterator[tuple[Path, TimedMotion]]:
     for name, wall in scene.walls.items():
         for index, motion in enumerate(wall.motion):
             yield ("walls", name, "motion", index), motion
+
+
+def _angles(scene: Scene) -> Iterator[tuple[Path, float]]:
+    """Each angle [rad] that is not a long rotation, with its key path: of meshes, clumps and sinusoidal
+    motions."""
+    for name, wall in scene.walls.items():
+        for index, rotation in enumerate(getattr(wall, "rotate", ())):
+            yield ("walls", name, "rotate", index, "angle"), rotation.angle
+    for name, group in scene.particles.items():
+        orientation = getattr(group.clump, "orientation", None)
+        if isinstance(orientation, RotationStep):
+            yield ("particles", name, "clump", "orientation", "angle"), orientation.angle
+        elif isinstance(orientation, tuple):
+            for index, rotation in enumerate(orientation):
+                yield ("particles", name, "clump", "orientation", index, "angle"), rotation.angle
+    for path, motion in chain(_wall_motions(scene), scene.gravity_motions()):
+        if isinstance(motion, RockingRotation):
+            yield (*path, "amplitude"), motion.amplitude
+        yield (*path, "phase"), getattr(motion, "phase", 0.0)
+
+
+def _temperatures(scene: Scene) -> Iterator[tuple[Path, float]]:
+    """Each temperature [K] with its key path."""
+    places: list[tuple[Path, object]] = [(("walls", name), each) for name, each in scene.walls.items()]
+    places += [(("particles", name), each) for name, each in scene.particles.items()]
+    for index, stage in enumerate(scene.stages):
+        places += [(("stages", index, "set", number), each) for number, each in enumerate(stage.set_)]
+    for path, each in places:
+        if (temperature := getattr(each, "temperature", None)) is not None:
+            yield (*path, "temperature"), temperature
+    surroundings = getattr(scene.contact.options("heat"), "surroundings", None)
+    if surroundings is not None:
+        yield ("contact", "heat", "surroundings"), surroundings
+
+
+def _belts(plan: Plan) -> Iterator[tuple[Path, float, float]]:
+    """Key path of each belt, the magnitude of its velocity [m/s], and its largest component along a face."""
+    for wall in plan.walls:
+        for index, motion in enumerate(wall.spec.motion):
+            if isinstance(motion, SurfaceVelocity):
+                velocity = np.array(motion.velocity)
+                areas = _face_areas(wall.surface)
+                across = np.abs(areas @ velocity / np.linalg.norm(areas, axis=1)).min()
+                speed = float(np.linalg.norm(velocity))
+                along = sqrt(max(speed**2 - across**2, 0.0))
+                yield ("walls", wall.name, "motion", index), speed, along
+
+
+def _face_areas(surface: Surface) -> np.ndarray:
+    """Normals (k, 3) of the faces of a wall, of triangles for curved ones; their length is the area [m2],
+    1 for a plane."""
+    if surface.plane is not None:
+        return np.array([surface.plane[1]])
+    points, corners = surface.triangles(np.zeros(3), 1.0)
+    first, second, third = points[corners].transpose(1, 0, 2)
+    return 0.5 * np.cross(second - first, third - first)
 
 
 def _gravity_tables(scene: Scene, times: StageTimes) -> Iterator[tuple[Path, float, Sequence[float]]]:
@@ -680,6 +763,20 @@ POINTS_PER_AXIS = 13
 """Points along each axis of the domain at which the distance from a wall is computed."""
 TIMES_OF_RUN = 40
 """Times of the run at which the position of a moving wall is computed."""
+
+
+def drained_groups(scene: Scene) -> Iterator[Finding]:
+    """Groups of which all positions are inside one outlet."""
+    for name, group in scene.particles.items():
+        place = group.insert.place
+        points = np.array(group.insert.points if place is None else list(product(*place.extent())))
+        for outlet, region in scene.outlets.items() if len(points) and not group.fixed else ():
+            if region.depth(points).min() > 0.0:
+                yield (
+                    ("particles", name, "insert"),
+                    f": all positions are inside outlets.{outlet}, which deletes the particles at once. "
+                    "Check the normal or the corners of the outlet.",
+                )
 
 
 def unreachable_walls(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[Finding]:
@@ -827,9 +924,15 @@ LARGEST_AREA = 1.5
 """Area of a servo over the section of the bed above which there is a warning."""
 
 
+LEAST_PROJECTION = 0.95
+"""Projected area of a servo over its area below which there is a warning."""
+
+
 def servo_area_findings(plan: Plan) -> Iterator[Finding]:
-    """Servos whose pressure refers to a wall that is much larger than the section of the bed at the start,
-    such as those of a triaxial sample between walls that overlap; all in one finding.
+    """Servos whose pressure refers to more than their area across the direction, such as a closed mesh.
+
+    Then those that are much larger than the section of the bed at the start, such as those of a triaxial
+    sample between walls that overlap; all of these in one finding.
 
     Groups with another insertion than a region or positions can fill the whole domain.
     """
@@ -841,6 +944,17 @@ def servo_area_findings(plan: Plan) -> Iterator[Finding]:
         if pressure is None or motion.section is not None or area is None:
             continue
         direction = np.array(motion.direction)
+        surface = plan.walls[motion.wall].surface
+        bounded = surface.plane is None and not surface.is_curved
+        if bounded and (across := _projected_area(surface, direction)) < LEAST_PROJECTION * area:
+            yield (
+                ("walls", motion.name, "motion"),
+                f": {pressure_words(pressure)} times the area of all faces of the wall, {area:.3g} m2, is "
+                f"{pressure * area:.3g} N, but the wall covers only {across:.3g} m2 across its direction, on "
+                f"which it would be {pressure * across:.3g} N. Give force instead, or press with a flat wall "
+                "across the direction.",
+            )
+            continue
         bed = max((section_of(plan.scene.domain, group, direction) for group in groups), default=area)
         if area > LARGEST_AREA * bed:
             found.append((motion.name, pressure, area, bed))
@@ -854,6 +968,13 @@ def servo_area_findings(plan: Plan) -> Iterator[Finding]:
             f"covers {bed:.3g} m2 at the start, on which it is {pressure_words(pressure * area / bed)}. "
             f"Give between, with the walls around the bed, or make the wall as large as the bed.{same}",
         )
+
+
+def _projected_area(surface: Surface, direction: np.ndarray) -> float:
+    """Area [m2] of a wall without overhangs projected along a unit vector; a closed one has two sides."""
+    across = float(np.abs(_face_areas(surface) @ direction).sum())
+    is_closed = isinstance(surface, Mesh) and surface.adjacency.open_count == 0
+    return 0.5 * across if is_closed else across
 
 
 def _first_motions(plan: Plan, times: StageTimes) -> Iterator[tuple[str, ControlledMotion, float]]:

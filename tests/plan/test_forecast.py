@@ -163,6 +163,7 @@ FALL = sqrt(2.0 * GRAVITY * DISTANCE)
 SLOW = {"gain": 1e-3, "velocity_max": 2.0}
 LOWERING = {"kind": "translation", "velocity": [0, 0, -0.5], "end": 0.05}
 LIFT = free_lid(force=5.0 * 0.05 * GRAVITY)
+STEEP = {"lid": lid()["lid"] | {"sides": [[0.024, 0, 0.024], [0, 0.024, 0]]}}
 WIDE = {"lid": lid()["lid"] | {"sides": [[0.048, 0, 0], [0, 0.024, 0]]}}
 
 
@@ -171,6 +172,9 @@ WIDE = {"lid": lid()["lid"] | {"sides": [[0.048, 0, 0], [0, 0.024, 0]]}}
      bed(1e6, lid(2e5), {"duration": 0.2}),
      bed(1e9, lid(2e5), {"duration": 0.2})),
     ("10 kPa is the pressure on the whole wall.*, on which it is 20 kPa. Give between", bed(walls=WIDE), bed(walls=lid())),
+    # A lid that rises by 45 degrees covers 0.707 of its area across the direction.
+    ("10 kPa times the area of all faces of the wall, 0.000815 m2, is 8.15 N, but the wall covers only 0.000576 m2",
+     bed(walls=STEEP), bed(walls=lid())),
     # The lid moves 10 mm in 0.1 s.
     (f"the bed is about {DISTANCE:.3g} m away.*Set velocity_max to 0.7[0-9]* m/s",
      bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, velocity_max=0.77))),

@@ -49,6 +49,34 @@ def turning(*rates):
     return [f"walls.floor.motion=[{', '.join(turns)}]"]
 
 
+def spun(rate):
+    motion = f"{{kind: rotation, point: [1 cm, 1 cm, 0], axis: [0, 0, 1], angular_velocity: {rate}}}"
+    return wall("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 1 cm", motion)
+
+
+def shaken_part(phase):
+    motion = f"{{kind: vibration, direction: [0, 0, 1], amplitude: 1 um, frequency: 25 Hz, phase: {phase}}}"
+    return wall("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 1 cm", motion)
+
+
+def inclined_belt(velocity):
+    sides = "corner: [0, 0, 0], sides: [[16 mm, 0, 12 mm], [0, 2 cm, 0]]"
+    return wall(f"rectangle, {sides}", f"{{kind: surface_velocity, velocity: {velocity}}}")
+
+
+def heated(temperature):
+    return [
+        "contact.heat=conduction",
+        "materials.glass.heat_capacity=800",
+        "materials.glass.thermal_conductivity=1",
+        f"particles.beads.temperature={temperature}",
+    ]
+
+
+def drained(side):
+    return [f"outlets={{sink: {{half_space: {{point: [0, 0, -1 mm], normal: [0, 0, {side}]}}}}}}"]
+
+
 def shaken(key, interval):
     """Output of a floor that vibrates with a period of 40 ms."""
     motion = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequency: 25 Hz}"
@@ -145,7 +173,14 @@ REPOSE = "output.metrics={heap: {kind: repose, surface: cone}}"
     ("walls.part.radius .* is", wall("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25"),
      wall("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25 cm")),
     # The farthest point is 30 mm from an axis: 12 m/s. The speeds of a chain do not add up.
-    ("Angular velocities are in rad/s", turning(400), turning(250, -250)),
+    ("Angular velocities without a unit are in rad/s", turning(400), turning(250, -250)),
+    # A disc that reaches 10 mm from the axis, at 4 m/s.
+    ("Angular velocities without a unit are in rad/s", turning(400), spun(400)),
+    ("walls.part.motion.0.phase .* is 90 rad, more than a full turn", shaken_part(90), shaken_part("90 deg")),
+    ("particles.beads.temperature .* is 20 K, colder than liquid nitrogen", heated(20), heated("20 degC")),
+    ("particles.beads.insert .* all positions are inside outlets.sink", drained(1), drained(-1)),
+    # Inclined by atan(3/4).
+    ("magnitude 1 m/s, but only .* at most 0.8 m/s", inclined_belt("[1, 0, 0]"), inclined_belt("[0.8, 0, 0.6]")),
     # At odd multiples of 20 ms, sin(w t) is 0 in all frames, within 1 % of the period.
     (r"output.interval \(.* 0.5 times the period 0.04 s .* 0.005 s or less", shaken("interval", "20 ms"),
      shaken("interval", "40 ms")),

@@ -35,10 +35,10 @@ def plan_of(folder, file, more=""):
     return plan_for(load_scene(path))
 
 
-def problem(folder, file):
+def problem(folder, file, more=""):
     """Message about the file, after its name."""
     with pytest.raises(SceneError) as error:
-        plan_of(folder, file)
+        plan_of(folder, file, more)
     head = f"{folder / 'scene.yaml'}:7:30: walls.floor.file is {file}, which "
     (message,) = error.value.problems
     assert message.startswith(head)
@@ -115,6 +115,8 @@ def test_invalid_mesh_files_are_rejected(tmp_path):
         "cut.ply": "cannot be read as PLY: ",
     }.items():
         assert problem(tmp_path, name).startswith(message)
+    # The scale of a file in millimeters is 0.001, not 1000.
+    assert problem(tmp_path, "large.stl", ", scale: 1000").endswith("set scale: 0.001.")
 
 
 def test_doubtful_sizes_places_and_triangles_are_reported(tmp_path):
@@ -129,6 +131,10 @@ def test_doubtful_sizes_places_and_triangles_are_reported(tmp_path):
     ):
         found = plan_of(tmp_path, "cube.stl", f", {more}" if more else "").warnings
         assert found == ((f"walls.floor: {warning}",) if warning else ())
+    # The pressure of a servo refers to all six faces, of which two cover 1 m2 across the direction.
+    servo = "motion: {kind: servo, direction: [0, 0, 1], pressure: 1 kPa, velocity_max: 0.1}"
+    forecasts = [each.warning or "" for each in plan_of(tmp_path, "cube.stl", f", {servo}").forecasts]
+    assert any("6 m2, is 6e+03 N, but the wall covers only 1 m2" in each for each in forecasts)
     points, corners = sheet(4)
     triangles = points[corners]
     removed = [triangles[0][::-1], triangles[3], [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]]

@@ -108,11 +108,15 @@ class MeshWall(Wall):
             )
         share = size / domain.diagonal
         if share > REFUSED_SIZE_RATIO:
-            raise FormatError(f"is {size:.3g} m large, {share:.3g} times the domain: {self._remedy}")
+            raise FormatError(f"is {size:.3g} m large, {share:.3g} times the domain: {self._remedy(share)}")
 
-    @property
-    def _remedy(self) -> str:
-        return f"if the file is in millimeters, set scale: {self.scale / MILLIMETERS:g}"
+    def _remedy(self, share: float) -> str:
+        """What to do if its size is this share of the domain, also if scale is 1000 instead of 0.001."""
+        scale = self.scale
+        while share > WARNED_SIZE_RATIO:
+            scale /= MILLIMETERS
+            share /= MILLIMETERS
+        return f"if the file is in millimeters, set scale: {scale:g}"
 
     def notes(self, name: str, surface: Surface, domain: Domain, smallest: float) -> Iterator[WallNote]:
         """Size, repaired triangles, open edges, and a probable mistake."""
@@ -148,7 +152,7 @@ class MeshWall(Wall):
         size = _size(mesh)
         share = size / domain.diagonal
         if share > WARNED_SIZE_RATIO:
-            return f"{size:.3g} m large, {share:.3g} times the domain: {self._remedy}"
+            return f"{size:.3g} m large, {share:.3g} times the domain: {self._remedy(share)}"
         if np.any(low > domain.max) or np.any(high < domain.min):
             return "wholly outside the domain; see scale and translate"
         if size < smallest:
