@@ -423,7 +423,8 @@ def _lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) 
 # Values of single keys.
 
 SLOW = 0.1
-"""Given velocity over that of a fall below which a unit is probably wrong: packed particles fall less."""
+"""Given velocity over that of a fall, a wall or a particle below which a unit is probably wrong: packed
+particles fall less."""
 OVERLAP_TOLERANCE = 1.5
 """Overlap of a file over the forecast one above which a warning appears."""
 FILE_ROUNDING = 1e-3
@@ -564,6 +565,16 @@ def value_rows(
             f"{fall:.2g} m/s."
         )
         yield ("run", "velocity_max"), given < SLOW * fall, text
+
+    speeds = {f"walls.{name}": speed for name, speed in wall_speeds(scene, plan.walls).items()}
+    speeds |= {f"particles.{name}": group.initial_speed for name, group in scene.particles.items()}
+    name = max(speeds, key=lambda each: speeds[each])
+    if given is not None:
+        text = (
+            f" is {given:.3g} m/s, but {name} moves at up to {speeds[name]:.3g} m/s: time step and forecasts "
+            f"are those of slower impacts. Check the unit, or set it to {speeds[name]:.2g} m/s."
+        )
+        yield ("run", "velocity_max"), given < SLOW * speeds[name], text
 
     for path, interval in _output_intervals(scene):
         text = (

@@ -192,6 +192,8 @@ REPOSE = "output.metrics={heap: {kind: repose, surface: cone}}"
     ("motion 1, carry it by up to 0.0899 m", turned(SHIFT.replace("24", "90"), HALF_TURN), turned(SHIFT, HALF_TURN)),
     ("run.velocity_max .* particles.beads can fall 0.03 m and reach 0.767 m/s", dropped("0.05 m/s"),
      dropped("0.09 m/s")),
+    ("run.velocity_max .* walls.part moves at up to 1 m/s", [*belt(), "run.velocity_max=0.09"],
+     [*belt(), "run.velocity_max=0.11"]),
     ("run.velocity_max .* can fall", dropped("2 mm/s"), dropped("2 mm/s", "damping={drag: 20 1/s}")),
     (r"is at least 2[12][.\d]* m outside", wall("rectangle, corner: [0, 0, 22], sides: [[1 cm, 0, 0], [0, 1 cm, 0]]"),
      wall("rectangle, corner: [0, 0, 22 mm], sides: [[1 cm, 0, 0], [0, 1 cm, 0]]")),
