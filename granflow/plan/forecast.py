@@ -487,9 +487,9 @@ def value_rows(
             is_unused = "cohesion" in models and scene.contact.name("normal") not in models.get("normal", ())
             yield ("pairs", name, key), is_unused, text
 
-    for wall in plan.walls:
-        rotations = [each for each in wall.motions if hasattr(each, "angular_velocity")]
-        reaches = [wall.surface.farthest_from(*each.point_and_axis) for each in rotations]
+    for turning in plan.walls:
+        rotations = [each for each in turning.motions if hasattr(each, "angular_velocity")]
+        reaches = [turning.surface.farthest_from(*each.point_and_axis) for each in rotations]
         speed = max(
             (
                 each.top_speed(min(reach, 0.5 * scene.domain.diagonal))
@@ -501,7 +501,7 @@ def value_rows(
             f": the rotation moves walls at up to {speed:.3g} m/s. Angular velocities without a unit are in "
             "rad/s: write 30 rpm or 180 deg/s."
         )
-        yield ("walls", wall.name, "motion"), speed > FASTEST_SURFACE, text
+        yield ("walls", turning.name, "motion"), speed > FASTEST_SURFACE, text
     for path, angle in _angles(scene):
         text = f" is {angle:.4g} rad, more than a full turn: angles are in rad. Write 90 deg with the unit."
         yield path, abs(angle) > FULL_TURN, text

@@ -371,6 +371,10 @@ def refuse_fast_rotation(scene: Scene, step: float) -> None:
             )
 
 
+FASTEST_EQUIPMENT = 30.0
+"""Speed of a wall [m/s] above which a unit is probably wrong, although fast mills reach more."""
+
+
 def refuse_fast_walls(
     scene: Scene, speeds: Mapping[str, float], step: float, limit: float, share: str
 ) -> None:
@@ -382,7 +386,8 @@ def refuse_fast_walls(
         if speed * step > limit:
             place = scene.locate("walls", name, "motion")
             excess = _per_step(scene, speed, step, limit, share)
-            raise SceneError(f"{place}: walls.{name} moves at up to {speed:.3g} m/s{excess}")
+            hint = " Motions without units are in m, rad and s." if speed > FASTEST_EQUIPMENT else ""
+            raise SceneError(f"{place}: walls.{name} moves at up to {speed:.3g} m/s{excess}{hint}")
 
 
 def refuse_fast_images(scene: Scene, step: float, limit: float, share: str) -> None:
