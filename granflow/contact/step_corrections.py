@@ -96,6 +96,32 @@ def reference_share_in_contact(overlap: float, rate: float, time_step: float) ->
     return overlap / travel + 0.5 if 0.0 < overlap <= TOUCHING * travel else 1.0
 
 
+@ti.func
+def share_before_rupture(left, attraction, contact):
+    """Share of the step around the time level during which an attraction acts that ends at a distance.
+
+        u / h + 1/2    in the last step before rupture, u < h = -(d' + a dt) dt;    else 1
+
+    left:        distance u [m] up to rupture
+    attraction:  [N], a = attraction / M, which slows an isolated pair down
+    contact:     with the overlap rate d' [m/s] half a step before
+
+    It also covers the time from the middle of the next step to rupture, so that it is between 1/2 and 3/2:
+    after rupture the pair may be beyond the range of the model.
+    """
+    rate = contact.overlap_rate + attraction / contact.mass_eff * contact.time_step
+    travel = ti.max(-rate, 0.0) * contact.time_step
+    partial = (travel > 0.0) & (left < travel)
+    return ti.select(partial, left / ti.select(partial, travel, 1.0) + 0.5, 1.0)
+
+
+def reference_share_before_rupture(left: float, attraction: float, contact: Any) -> float:
+    """Reference implementation of `share_before_rupture` in numpy."""
+    dt = contact.time_step
+    travel = -(contact.overlap_rate + attraction / contact.mass_eff * dt) * dt
+    return left / travel + 0.5 if left < travel else 1.0
+
+
 def build_step_mean(power: float) -> Any:
     """Device function (overlap, rate, time_step) -> (overlap_at, weight): mean of d^power over the step, 0
     for d < 0.

@@ -21,7 +21,6 @@ from granflow.engine.history import (
     NO_CONTACT,
     ContactHistory,
     HistoryTransfer,
-    cohesive_contact,
     transfers_history,
 )
 from granflow.engine.liquid import LiquidFilms
@@ -174,7 +173,7 @@ class Contact:
         constants = self.pair.constants(i, j)
         bodies = self.pair.bodies(i, j)
         history = self.histories.read(list_index)
-        contact = cohesive_contact(bodies, kinematics.overlap, dt)
+        contact = normal_contact(bodies, kinematics, normal_time_step(dt, self.longest_time_step()))
         attraction, history_new = self.laws.cohesion.force(constants.cohesion, contact, history.cohesion)
         force = -attraction * kinematics.normal
         found = ti.Struct(

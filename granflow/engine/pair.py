@@ -86,15 +86,19 @@ class Pair:
     @ti.func
     def separated(self, i, j, branch, pose):
         """Kinematics of two particles without overlap, for models that act at a distance: minus the distance
-        of the surfaces, the normal, and for viscous forces the velocity now and the lever arms."""
+        of the surfaces, the normal, for cohesion its rate at the half step, and for viscous forces the
+        velocity now and the lever arms."""
         radius = self.radius(i)
         radius_partner = self.radius(j)
         found = no_contact(-radius, self.particles.velocity[i])
         distance = ti.sqrt(branch.dot(branch))
         found.overlap = ti.min(radius + radius_partner - distance, 0.0)
         found.normal = 1.0 / distance * branch
+        if ti.static(self.cohesion_at_distance):
+            velocity_rel_half, velocity_rel = self.relative_velocities(i, j, pose)
+            found.overlap_rate = -velocity_rel_half.dot(found.normal)
+            found.velocity_rel = velocity_rel
         if ti.static(self.features.viscous_cohesion):
-            _half, found.velocity_rel = self.relative_velocities(i, j, pose)
             found.arm = radius - 0.5 * found.overlap
             found.arm_partner = radius_partner - 0.5 * found.overlap
         return found
@@ -183,6 +187,13 @@ class Pair:
             found.arm_half = found.arm + 0.25 * dt * found.overlap_rate_half
             if ti.static(self.features.surface_velocity):  # it does not turn the normal
                 found.velocity_rel_half -= self.geometry.surface_velocity(face, pose, found.normal_half)
+        elif ti.static(self.cohesion_at_distance):
+            if self.in_range(i, j, found.overlap):
+                wall_velocity = self.geometry.velocity(
+                    face, pose, self.particles.position[i] - found.arm * direction
+                )
+                velocity_rel_half = self.particles.velocity[i] - ti.cast(wall_velocity, self.real)
+                found.overlap_rate = -velocity_rel_half.dot(found.normal)
         return found
 
     @ti.func

@@ -8,7 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from granflow.contact.law import CohesionLaw, ContactState, HistoryField
-from granflow.contact.step_corrections import reference_share_in_contact, share_in_contact
+from granflow.contact.step_corrections import (
+    reference_share_before_rupture,
+    reference_share_in_contact,
+    share_before_rupture,
+    share_in_contact,
+)
 from granflow.device_functions import ti
 
 
@@ -61,11 +66,16 @@ class BondLaw(CohesionLaw):
 
     @ti.func
     def force(self, constants, contact, history):
-        """Attraction [N] of the bond, and its history; a bond that forms acts since first contact."""
+        """Attraction [N] of the bond, from first contact to rupture within steps, and its history."""
         history_new = history
-        since_contact = share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
-        share = ti.select(history.bonded > 0.0, 1.0, since_contact)
-        holds = contact.overlap > -self.rupture_distance(constants, contact)
+        attraction = self.bond_attraction(constants, contact)
+        left = contact.overlap + self.rupture_distance(constants, contact)
+        share = ti.select(
+            history.bonded > 0.0,
+            share_before_rupture(left, attraction, contact),
+            share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step),
+        )
+        holds = left > 0.0
         bonded = ti.select(contact.overlap > 0.0, 1.0, ti.select(holds, history.bonded, 0.0))
         if ti.static(self.energy_budget):
             formed = ti.max(bonded - history.bonded, 0.0)
@@ -73,7 +83,7 @@ class BondLaw(CohesionLaw):
             formation_energy = -self.bond_energy(constants, at_overlap(contact, 0.0 * contact.overlap))
             history_new.lost += formed * formation_energy + broken * self.rupture_energy(constants, contact)
         history_new.bonded = bonded
-        return share * bonded * self.bond_attraction(constants, contact), history_new
+        return share * bonded * attraction, history_new
 
     @ti.func
     def stored_energy(self, constants, contact, history):
@@ -98,10 +108,13 @@ class BondLaw(CohesionLaw):
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, Any]]:
         """Reference implementation of `force` without the lost energy."""
         attraction, distance = self.reference_bond(contact)
-        before = getattr(contact.history, "bonded", 0.0)
-        if contact.overlap <= 0.0:
-            bonded = before if contact.overlap > -distance else 0.0
-            return bonded * attraction, {"bonded": bonded}
-        if before == 0.0:
-            attraction *= reference_share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
-        return attraction, {"bonded": 1.0}
+        left = contact.overlap + distance
+        if getattr(contact.history, "bonded", 0.0) == 0.0:
+            if contact.overlap <= 0.0:
+                return 0.0, {"bonded": 0.0}
+            share = reference_share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
+        else:
+            if contact.overlap <= 0.0 and left <= 0.0:
+                return 0.0, {"bonded": 0.0}
+            share = reference_share_before_rupture(left, attraction, contact)
+        return share * attraction, {"bonded": 1.0}

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from granflow.contact.cohesion.bond import at_overlap
 from granflow.contact.cohesion.capillary import (
     SOURCE,
     Wetting,
@@ -33,6 +34,12 @@ from granflow.contact.cohesion.lubrication import (
 )
 from granflow.contact.law import CohesionLaw, ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
+from granflow.contact.step_corrections import (
+    reference_share_before_rupture,
+    reference_share_in_contact,
+    share_before_rupture,
+    share_in_contact,
+)
 from granflow.device_functions import power, ti
 from granflow.schema.quantities import Number
 
@@ -91,10 +98,11 @@ class CapillaryTransfer(CohesionLaw):
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
-        """Volume of the bridge, and with the energy budget the lost energy."""
+        """Volume of the bridge, whether it has acted before, and with the energy budget the lost energy."""
         volume = HistoryField("bridge_volume", "liquid volume of the bridge", "m3", in_output=True)
+        has_acted = HistoryField("has_acted", "1 from the step after the formation of the bridge on")
         lost = HistoryField("lost", "energy lost by the formation of the bridge", "J")
-        return (volume, lost) if self.energy_budget else (volume,)
+        return (volume, has_acted, lost) if self.energy_budget else (volume, has_acted)
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`."""
@@ -116,22 +124,36 @@ class CapillaryTransfer(CohesionLaw):
 
     @ti.func
     def form(self, constants, contact, history, volume):
-        """The history after a bridge of a volume [m3] has formed at the present overlap."""
+        """The history after a bridge of a volume [m3] has formed."""
         history_new = history
         history_new.bridge_volume = volume
-        if ti.static(self.energy_budget):
-            history_new.lost -= self.energy(constants, contact, volume)
         return history_new
 
     @ti.func
     def force(self, constants, contact, history):
-        """Attraction [N] of the bridge, and its history: at rupture the volume becomes 0."""
+        """Attraction [N] of the bridge, and its history: at rupture the volume becomes 0.
+
+        It acts from first contact to rupture, within steps, or since half a step before liquid arrives. The
+        energy of a bridge is lost where it begins to act.
+        """
         history_new = history
         volume = history.bridge_volume
         positive = ti.select(volume > 0.0, volume, constants.max_bridge_volume)
-        holds = (volume > 0.0) & (contact.overlap > -self.rupture_distance(constants, positive))
+        attraction = bridge_attraction(contact, constants.tension, positive)
+        left = contact.overlap + self.rupture_distance(constants, positive)
+        share = ti.select(
+            history.has_acted > 0.0,
+            share_before_rupture(left, attraction, contact),
+            share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step),
+        )
+        holds = (volume > 0.0) & (left > 0.0)
         history_new.bridge_volume = ti.select(holds, volume, 0.0)
-        return ti.select(holds, bridge_attraction(contact, constants.tension, positive), 0.0), history_new
+        history_new.has_acted = ti.select(holds, 1.0, 0.0)
+        if ti.static(self.energy_budget):
+            since = contact.overlap - (share - 0.5) * contact.overlap_rate * contact.time_step
+            energy = self.energy(constants, at_overlap(contact, since), volume)
+            history_new.lost -= ti.select(history.has_acted > 0.0, 0.0, energy)
+        return ti.select(holds, share * attraction, 0.0), history_new
 
     @property
     def is_viscous(self) -> bool:
@@ -172,10 +194,15 @@ class CapillaryTransfer(CohesionLaw):
         """Reference implementation of `force` without the lost energy."""
         constants = contact.constants
         volume = getattr(contact.history, "bridge_volume", 0.0)
-        if volume <= 0.0 or -contact.overlap >= constants.rupture_factor * volume ** (1.0 / 3.0):
-            return 0.0, {"bridge_volume": 0.0}
+        left = contact.overlap + constants.rupture_factor * volume ** (1.0 / 3.0)
+        if volume <= 0.0 or left <= 0.0:
+            return 0.0, {"bridge_volume": 0.0, "has_acted": 0.0}
         force = reference_attraction(contact.radius_eff, contact.overlap, constants.tension, volume)
-        return force, {"bridge_volume": volume}
+        if getattr(contact.history, "has_acted", 0.0) > 0.0:
+            share = reference_share_before_rupture(left, force, contact)
+        else:
+            share = reference_share_in_contact(contact.overlap, contact.overlap_rate, contact.time_step)
+        return share * force, {"bridge_volume": volume, "has_acted": 1.0}
 
     def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float:
         """Largest capillary force [N], at zero distance; it does not depend on the volume."""
