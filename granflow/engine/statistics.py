@@ -426,7 +426,8 @@ def _build_scan(state: State, squares: Any) -> Any:
 
 
 class Impacts:
-    """Impact velocities of pairs. Walls are at pose 0; velocities are half a step behind the positions.
+    """Impact velocities of pairs. Walls are at pose 0, with their velocities in the next step: motions can
+    begin now. Velocities of particles are half a step behind the positions.
 
     Reads:  position, velocity, radius; as `AnyContact` and `WallGeometry`
     """
@@ -470,7 +471,7 @@ class Impacts:
             rate = kinematics.overlap_rate_half
         elif ti.static(self.has_walls):
             gap, normal = self.geometry.contact(-1 - j, 0, position)
-            wall_velocity = self.geometry.velocity(-1 - j, 0, position)
+            wall_velocity = self.geometry.velocity_in_step(-1 - j, 0, 1, position)
             overlap = ti.cast(radius - gap, self.real)
             rate = -(velocity - ti.cast(wall_velocity, self.real)).dot(ti.cast(normal, self.real))
         return overlap, rate

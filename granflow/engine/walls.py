@@ -381,7 +381,12 @@ class WallGeometry:
     @ti.func
     def velocity(self, face, pose, point):
         """Velocity [m/s] of the wall at the point."""
-        velocity = self.prescribed_velocity(face, pose, pose, point)
+        return self.velocity_in_step(face, pose, pose, point)
+
+    @ti.func
+    def velocity_in_step(self, face, pose, step, point):
+        """As `velocity`; `step`: as of `prescribed_velocity`."""
+        velocity = self.prescribed_velocity(face, pose, step, point)
         if ti.static(self.features.force_controlled_walls):
             velocity += self.controlled_walls.sum_of(
                 self.state.wall_dynamics.velocity, self.faces.wall_of_face(face)

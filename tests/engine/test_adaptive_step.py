@@ -41,9 +41,12 @@ def planned_step(plan, velocity):
     return choose_time_step(None, plan.pair_cases, plan.laws.normal, velocity, *bounds).value
 
 
-@pytest.mark.parametrize(("scene_at", "velocity", "time"), [(pair_at, 0.05, 1e-6), (wall_at, 3.0, 6e-4)])
+@pytest.mark.parametrize(
+    ("scene_at", "velocity", "time"), [(pair_at, 0.05, 1e-6), (wall_at, 3.0, 6e-4), (wall_at, 3.0, 0.0)]
+)
 def test_step_equals_the_planned_step_for_the_present_velocity(taichi_f64, scene_at, velocity, time):
-    """Within one level of the table, at the present velocity times the margin, shortly before the contact."""
+    """Within one level of the table, at the present velocity times the margin, shortly before the contact; also
+    at the start, when walls begin to move."""
     step, plan = adapted_step(scene_at(velocity * time + 1e-5, velocity), time)
     fastest = VELOCITY_MARGIN * velocity
     lower = planned_step(plan, fastest * 2.0 ** (1.0 / LEVELS_PER_DOUBLING))
