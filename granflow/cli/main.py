@@ -153,13 +153,16 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose messages show control characters of quoted text as visible escapes.
+    """An argument parser whose messages show control characters of quoted text as visible escapes, and which
+    does not ignore failed writes.
 
     The subparsers of the verbs are of this class too.
     """
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        super()._print_message(visible(message), file)
+        stream = file or sys.stderr
+        if stream is not None:
+            stream.write(visible(message))
 
 
 class ShowVersion(argparse.Action):

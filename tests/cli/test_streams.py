@@ -29,9 +29,10 @@ def test_a_pipe_that_is_closed_ends_the_command_silently(command, lines):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="requires /dev/full of Linux")
-def test_full_disk_is_reported_in_one_sentence():
+@pytest.mark.parametrize("command", [CACHE, [*CACHE, "--help"]])
+def test_full_disk_is_reported_in_one_sentence(command):
     with open("/dev/full", "w") as full:
-        process = subprocess.run(CACHE, stdout=full, stderr=subprocess.PIPE, text=True)
+        process = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert (process.returncode, process.stderr) == (2, "granflow: <stdout>: No space left on device.\n")
 
 
