@@ -8,7 +8,7 @@ see `observers.metrics`.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from math import inf, nan, sqrt
 from numbers import Real
 from typing import Any, NamedTuple
@@ -230,11 +230,10 @@ SAMPLED = ("id", "mass", "position", "velocity", "radius", "group", "material", 
 
 @dataclass(frozen=True)
 class _Sample:
-    """Particles at `time` [s]: the arrays SAMPLED, and the distance (n,) [m] of each beyond the plane."""
+    """Particles at `time` [s]: the arrays SAMPLED."""
 
     time: float
     particles: Mapping[str, np.ndarray]
-    distance: np.ndarray
 
     def passages(self, index: np.ndarray, direction: np.ndarray, time: np.ndarray) -> "Passages":
         """Passages (k,) of the particles `index` (k,) of this sample."""
@@ -291,7 +290,7 @@ class FlowCounter:
       toward the plane and the interval T of the samples. One that is deleted farther away has left otherwise.
     - The line of a particle that a stage or a program has removed since ends where it was then.
     - In a periodic box the line ends at an image, see `_crossed`, so that a wrapped particle does not count
-      as backward.
+      as backward; the images of the disc or rectangle in the box count, too.
     - A particle that is first sampled on the far side does not count.
     - The time of the passage is that at which the straight line reaches the plane; that of a deleted particle
       follows from its distance and velocity at the last sample.
@@ -312,6 +311,7 @@ class FlowCounter:
         self.radius = np.inf if meter.radius is None else meter.radius
         self.sides = None if meter.sides is None else np.asarray(meter.sides, dtype=np.float64)
         self._periodic_box = periodic_box
+        self._planes = self._images()
         self._group_by = meter.group_by
         self._gravity = gravity
         self.total = FlowCount()
@@ -354,15 +354,42 @@ class FlowCounter:
         for name, flow_count in self.flow_counts().items():
             flow_count.load_state_dict(saved["tallies"][name])
         last = saved["last"]
-        self._last = self._sample_of(last["time"], last["particles"]) if last else None
+        self._last = _Sample(last["time"], last["particles"]) if last else None
 
     def _sample(self, snapshot: Snapshot) -> _Sample:
         particles = bodies_of(snapshot.particles)
-        return self._sample_of(snapshot.time, {name: particles[name] for name in SAMPLED})
+        return _Sample(snapshot.time, {name: particles[name] for name in SAMPLED})
 
-    def _sample_of(self, time: float, particles: Mapping[str, np.ndarray]) -> _Sample:
-        """Sample with the distances (n,) [m] from the plane, positive on the far side."""
-        return _Sample(time, particles, (particles["position"] - self.point) @ self.normal)
+    def _images(self) -> list[np.ndarray]:
+        """Points (m, 3) [m] of the images of the area in the box, in one array for each plane.
+
+        Of an infinite plane across a periodic axis that is the image in the box; any other has one.
+        """
+        box = self._periodic_box
+        if box is None:
+            return [self.point[None]]
+        if self.sides is None:
+            across = np.sqrt(np.maximum(1.0 - self.normal**2, 0.0))
+            reach = np.where(across > 0.0, self.radius, 0.0) * np.where(across > 0.0, across, 1.0)
+            low, high = self.point - reach, self.point + reach
+        else:
+            corners = self.point + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) @ self.sides
+            low, high = corners.min(axis=0), corners.max(axis=0)
+        places: list[np.ndarray] = list(self.point[:, None])
+        for axis in box.axes:
+            if np.isfinite(high[axis]):
+                begin, width = box.low[axis], box.width[axis]
+                rounding = 1e-9 * width
+                numbers = np.arange(
+                    np.floor((begin - high[axis]) / width), np.ceil((begin + width - low[axis]) / width) + 1.0
+                )
+                first, last = low[axis] + width * numbers, high[axis] + width * numbers
+                inside = ((last > begin) | (first >= begin - rounding)) & (first < begin + width - rounding)
+                place = (self.point[axis] + width * numbers)[inside]
+                places[axis] = np.where(np.abs(place - begin) < rounding, begin, place)
+        points = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
+        heights = np.round((points - self.point) @ self.normal / box.width.max(), 12)
+        return [points[heights == height] for height in np.unique(heights)]
 
     def _crossed(self, last: _Sample, now: _Sample) -> Passages:
         """Passages of the particles that exist in both samples and crossed between them.
@@ -383,31 +410,35 @@ class FlowCounter:
             mean_velocity = 0.5 * (last.particles["velocity"][before] + now.particles["velocity"][after])
             pieces = box.pieces(start, end, start + interval * mean_velocity)
         found = []
-        for piece in pieces:
-            direction, share = self._crossing(piece.start, piece.end)
+        for piece, images in product(pieces, self._planes):
+            direction, share = self._crossing(images, piece.start, piece.end)
             fraction = piece.begin + share * (piece.until - piece.begin)
             crossed = direction != 0
             time = last.time + fraction[crossed] * interval
             found.append(now.passages(after[piece.rows[crossed]], direction[crossed], time))
         return joined(found)
 
-    def _crossing(self, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (n,) 1, -1 or 0 of lines from `start` to `end` (n, 3) [m] that cross forward, backward
-        or not, and the fraction (n,) of each line before the plane."""
-        first = (start - self.point) @ self.normal
-        last = (end - self.point) @ self.normal
+    def _crossing(
+        self, images: np.ndarray, start: np.ndarray, end: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (n,) 1, -1 or 0 of lines from `start` to `end` (n, 3) [m] that cross a plane forward,
+        backward or not, and the fraction (n,) of each line before it; `images`: of `_images`."""
+        first = (start - images[0]) @ self.normal
+        last = (end - images[0]) @ self.normal
         direction = (last > 0).astype(int) - (first > 0).astype(int)
         fraction = first / np.where(direction == 0, 1.0, first - last)
         point = start + fraction[:, None] * (end - start)
-        return np.where(self._within(point), direction, 0), fraction
+        return np.where(self._within(images, point), direction, 0), fraction
 
-    def _within(self, point: np.ndarray) -> np.ndarray:
-        """Return whether points (n, 3) [m] of the plane lie in the disc or rectangle."""
-        offset = point - self.point
+    def _within(self, images: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """Return whether points (n, 3) [m] of a plane lie in one of the images of the disc or rectangle."""
+        offset = point[:, None] - images
         if self.sides is None:
-            return np.asarray(np.linalg.norm(offset, axis=1) <= self.radius)
-        share = offset @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
-        return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
+            inside = np.linalg.norm(offset, axis=2) <= self.radius
+        else:
+            share = offset @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
+            inside = np.logical_and(share >= 0.0, share <= 1.0).all(axis=2)
+        return np.asarray(inside.any(axis=1))
 
     def _with_removed(self, last: _Sample, now: _Sample, removed: Mapping[str, np.ndarray]) -> _Sample:
         """The sample `now` with those particles of the last one that have been removed since, where they were
@@ -418,7 +449,7 @@ class FlowCounter:
         ended = {name: values[row] for name, values in last.particles.items()}
         ended["position"] = removed["position"][found]
         both = {name: np.concatenate([values, ended[name]]) for name, values in now.particles.items()}
-        return self._sample_of(now.time, both)
+        return _Sample(now.time, both)
 
     def _deleted(self, last: _Sample, now: _Sample) -> Passages:
         """Forward passages of particles in the last sample only, in front of the disc or rectangle.
@@ -428,14 +459,19 @@ class FlowCounter:
         """
         particles = last.particles
         interval = now.time - last.time
+        position = particles["position"]
         approach = particles["velocity"] @ self.normal
-        distance = -last.distance
         reach = np.maximum(approach, 0.0) * interval + 0.5 * self._gravity * interval**2 + particles["radius"]
-        foot = particles["position"] + distance[:, None] * self.normal
-        near = (distance >= 0) & (distance <= reach) & self._within(foot)
-        index = np.flatnonzero(near & ~np.isin(particles["id"], now.particles["id"], assume_unique=True))
+        passed: np.ndarray = np.full(len(position), np.inf)
+        for images in self._planes:
+            distance = (images[0] - position) @ self.normal
+            foot = position + distance[:, None] * self.normal
+            near = (distance >= 0) & (distance <= reach) & self._within(images, foot)
+            passed = np.where(near, np.minimum(distance, passed), passed)
+        deleted = ~np.isin(particles["id"], now.particles["id"], assume_unique=True)
+        index = np.flatnonzero(np.isfinite(passed) & deleted)
         approach = approach[index]
-        distance = distance[index]
+        distance = passed[index]
         reaches = distance < approach * interval
         duration = np.where(reaches, distance / np.where(reaches, approach, 1.0), 0.5 * interval)
         return last.passages(index, np.ones(len(index), dtype=int), last.time + duration)

@@ -91,25 +91,33 @@ def test_rectangle_counts_particles_within_its_sides():
 def test_in_a_periodic_box_each_lap_counts_where_it_passes():
     """Uniform motions, up to two widths between two samples, through a quarter of the section and the whole plane.
 
-    A particle passes z = 1 + 5 k at the times t, at the wrapped place of x + u t.
+    A particle passes z = 1 + 5 k at the times t, at the wrapped place of x + u t. Of an area that extends beyond the
+    faces the images in the box count, too: an oblique disc and a plane at the upper faces count what they count in the
+    middle, if all particles are displaced with them.
     """
     width = np.array([2.0, 3.0, 5.0])
     box = PeriodicBox((0, 1, 2), np.zeros(3), width)
     rng = np.random.default_rng(4)
     start, velocity = rng.uniform(0.0, width, (300, 3)), rng.uniform(-2.0, 2.0, (300, 3)) * width
-    quarter, plane = ({"sides": ((1, 0, 0), (0, 1.5, 0))}, {})
+    sides = ((1, 0, 0), (0, 1.5, 0))
+    oblique = {"normal": (1, -2, 3), "radius": 0.8}
+    areas = [{"sides": sides}, {}, {"point": (1.5, 2.25, 6), "sides": sides}]
+    areas += [{"point": 0.5 * width, **oblique}, {"point": 0.5 * width, "normal": (1, 0, 0)}]
+    at_corner = [each | {"point": width} for each in areas[3:]]
     meters = [
-        FlowCounter(FlowMeter(point=(0, 0, 1), normal=(0, 0, 1), **part), box) for part in (quarter, plane)
+        FlowCounter(FlowMeter(**{"point": (0, 0, 1), "normal": (0, 0, 1)} | area), box)
+        for area in areas + at_corner
     ]
     passed = []
     for time in range(4):
-        places = box.wrap(start + time * velocity)
-        (sample,) = falling([dict(enumerate(places))], velocity=velocity, mass=np.ones(300))
-        for meter in meters:
-            meter.update(replace(sample, time=float(time)))
+        for displaced, of_place in ((0.0, meters[:5]), (0.5, meters[5:])):
+            places = box.wrap(start + displaced * width + time * velocity)
+            (sample,) = falling([dict(enumerate(places))], velocity=velocity, mass=np.ones(300))
+            for meter in of_place:
+                meter.update(replace(sample, time=float(time)))
         passed += [] if time == 0 else [meters[0].passages.time]
     low, high = np.sort([start[:, 2], start[:, 2] + 3.0 * velocity[:, 2]], axis=0)
-    times, within, count = [], 0, 0
+    times, within, beyond, count = [], 0, 0, 0
     for particle in range(300):
         for plane_height in 1.0 + 5.0 * np.arange(-8, 9):
             if low[particle] < plane_height < high[particle]:
@@ -119,8 +127,12 @@ def test_in_a_periodic_box_each_lap_counts_where_it_passes():
                 if x < 1.0 and y < 1.5:
                     times.append(time)
                     within += int(np.sign(velocity[particle, 2]))
+                if (x < 0.5 or x > 1.5) and (y < 0.75 or y > 2.25):
+                    beyond += int(np.sign(velocity[particle, 2]))
     assert len(times) > 150
-    assert (meters[0].total.count, meters[1].total.count) == (within, count)
+    assert [meter.total.count for meter in meters[:3]] == [within, count, beyond]
+    crossings = [meter.total.crossings[0] for meter in meters]
+    assert crossings[3:5] == crossings[5:] and min(crossings) > 30
     np.testing.assert_allclose(np.concatenate(passed), np.sort(times), rtol=1e-9)
 
 

@@ -76,6 +76,7 @@ class FlowMeter(Model):
     """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
 
     Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
+    Of an area that extends beyond periodic faces, the images in the box count, too.
 
     >>> gf.FlowMeter(point=[0, 0, 0], normal=[0, 0, -1], radius="2 cm").radius
     0.02
