@@ -8,7 +8,7 @@ points that must be visible over the whole run, so that all pictures of a run ha
 `camera_for` places the camera that just shows them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -473,7 +473,8 @@ def wall_points(
     corners = [walls.points_of([number for number in walls.numbers if number not in planes])]
     for number in planes:
         plane = walls.points_of([number])
-        corners.append(np.clip(plane, *_up_to_box(plane_box(plane, particles), number, walls, scene)))
+        box = _up_to_box(plane_box(plane, particles), number, planes, walls, scene)
+        corners.append(np.clip(plane, *box))
     points = np.concatenate(corners)
     return points if domain is None else np.clip(points, *domain)
 
@@ -506,23 +507,26 @@ def drawn_boxes(walls: FrameWalls, scene: Scene | None, particles: np.ndarray) -
     They are those of `plane_box`, unbounded along the normal; a face of a box extends to its other faces.
     """
     found = {}
-    for number in planes_of(walls, scene):
+    planes = planes_of(walls, scene)
+    for number in planes:
         plane = walls.points_of([number])
         low, high = plane_box(plane, particles)
         extent = np.ptp(plane, axis=0)
         is_normal = extent <= FLAT * extent.max()
         box = np.array([np.where(is_normal, -np.inf, low), np.where(is_normal, np.inf, high)])
-        found[number] = _up_to_box(box, number, walls, scene)
+        found[number] = _up_to_box(box, number, planes, walls, scene)
     return found
 
 
-def _up_to_box(box: np.ndarray, number: int, walls: FrameWalls, scene: Scene | None) -> np.ndarray:
-    """A box (2, 3) [m] around a plane; if the plane is a face of a box, up to the other faces of that box
-    which are normal to an axis."""
+def _up_to_box(
+    box: np.ndarray, number: int, planes: Collection[int], walls: FrameWalls, scene: Scene | None
+) -> np.ndarray:
+    """A box (2, 3) [m] around the plane `number`; if the plane is a face of a box, up to those other faces of
+    that box which are normal to an axis. `planes`: of `planes_of`."""
     found = box.copy()
     names = list(scene.walls) if scene is not None else []
     own, _, own_face = names[number].rpartition(".")
-    for other in planes_of(walls, scene):
+    for other in planes:
         name, _, face = names[other].rpartition(".")
         if own and name == own and {face, own_face} <= set(FACES):
             axis, is_high = divmod(FACES.index(face), 2)
