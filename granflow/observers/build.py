@@ -142,7 +142,11 @@ def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
         name: FlowCounter(meter, plan.periodic_box, plan.scene.flow_meter_parts(name), gravity)
         for name, meter in plan.scene.output.flow_meters.items()
     }
-    wall_forces = {name: WallForceMeter(name, area) for name, area in plan.measured_areas.items()}
+    wall_forces = {
+        wall.name: WallForceMeter(wall.name, plan.measured_areas[wall.name], wall.spec.stages)
+        for wall in plan.walls
+        if wall.name in plan.measured_areas
+    }
     interval = plan.scene.output.timeseries_interval or plan.scene.output.interval
     scene = plan.scene
     names = {"group": list(scene.particles), "material": list(scene.materials)}

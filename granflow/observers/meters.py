@@ -6,7 +6,7 @@ and at the end its result for `result.json`. A row that follows the one before t
 see `observers.metrics`.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from math import inf, nan, sqrt
@@ -642,14 +642,16 @@ class WallForceMeter:
 
         mean force = (J(t2) - J(t1)) / (t2 - t1),      J: accumulated impulse
 
-    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure. Force [N] and torque [N
+    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure; `stages`: in which it is
+    present, None for all. Force [N] and torque [N
     m] are those of the particles on the wall; the pressure [Pa] is the normal force over the area. The power
     [W] is that of the wall on the particles: positive if it drives them.
     """
 
-    def __init__(self, wall: str, area: float | None) -> None:
+    def __init__(self, wall: str, area: float | None, stages: Collection[str] | None = None) -> None:
         self.wall = wall
         self.area = area
+        self.stages = stages
         self._time = 0.0
         self._impulse = NO_IMPULSE
         self._stage = ""
@@ -705,13 +707,15 @@ class WallForceMeter:
         """Return means over the last stage, those between the last two samples, and the largest readings of
         the run.
 
-        The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes
-        of the mean vectors; `wall_force_largest` [N], `wall_pressure_largest` [Pa] and `wall_power_largest`
-        [W] are the largest magnitudes of means between two samples. Names of the values between the last two
-        samples end with `_last`. All are NaN if no time is between the first and the last sample.
+        The stage begins at the last sample before it; means over a stage without the wall are 0. `wall_force`
+        [N] and `wall_torque` [N m] are magnitudes of the mean vectors; `wall_force_largest` [N],
+        `wall_pressure_largest` [Pa] and `wall_power_largest` [W] are the largest magnitudes of means between
+        two samples. Names of the values between the last two samples end with `_last`. All are NaN if no time
+        is between the first and the last sample.
         """
         duration = self._time - self._stage_time
-        mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
+        has_wall = self.stages is None or self._stage in self.stages
+        mean = (self._impulse - self._stage_impulse) / duration if has_wall and duration > 0.0 else NO_IMPULSE
         found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
         found |= {f"{name}_last": value for name, value in self.readings().items()}
         found["wall_force_largest"] = self._max_force

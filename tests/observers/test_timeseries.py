@@ -81,12 +81,12 @@ def test_tables_are_read_back_exactly_and_without_an_incomplete_row(tmp_path):
 
 
 def measured_series(folder):
-    """A series with a flow meter, a wall of 2 m2, and a metric whose value is the time."""
+    """A series with a flow meter, a wall of 2 m2 in the stage `run`, and a metric whose value is the time."""
     metric = MetricMeter(
         lambda snapshot: Reading({"coordination_number": snapshot.time}), frozenset({"totals"})
     )
     meters = {"out": FlowCounter(FlowMeter(point=(0, 0, 0), normal=(0, 0, -1)))}
-    forces = {"lid": WallForceMeter("lid", 2.0)}
+    forces = {"lid": WallForceMeter("lid", 2.0, ("run",))}
     return TimeSeries(folder, 0.1, meters, wall_forces=forces, metrics={"bed": metric})
 
 
@@ -142,3 +142,6 @@ def test_a_last_row_of_half_an_interval_or_of_another_stage_is_added(tmp_path, l
         series.observe(pushed(time))
     series.observe(pushed(last, stage))
     assert [float(row[0]) for row in rows_of(series.path)[1:]] == [*TIMES, last]
+    lid = series.results_by_kind()["wall_forces"]["lid"]
+    mean = (8.0 * last + 1.0) / last if stage == "run" else 0.0
+    assert lid["wall_force_z"] == pytest.approx(mean, rel=1e-9), "0 in a stage without the wall"
