@@ -131,6 +131,7 @@ class Engine:
         self._walls_appeared = list[str]()
         self._stopping_change: WallChange | None = None
         self._velocities_lag = False
+        self._first_unshifted_id: int | None = None
         self.energy_before_change: float | None = None
         self._counts_contacts = False
         self._deletes = False
@@ -216,18 +217,24 @@ class Engine:
         new:  k particles; material numbers of the scene, velocities [m/s] at the present time
 
         Ids continue the count of inserted particles. After the start, velocities are shifted half a step back
-        by gravity, as the leapfrog scheme requires. The mechanical energy counts as inserted.
+        by gravity, as the leapfrog scheme requires; if more acts on a free particle, by all forces after
+        `refresh`. The mechanical energy counts as inserted.
         """
         if not len(new):
             return
-        arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
+        first_id = self.accounting.inserted_count
+        arrays = new_particle_arrays(self.plan, new, first_id)
         energy = sum(mechanical_energy(arrays, self._gravity))
         rows = sphere_rows(self.plan, new)
         self.accounting.insert(new.material[rows], new.group[rows], self.time, energy)
         self.accounting.change_contents(self.plan, "inserted", arrays)
         if self.energy_before_change is not None:
             self.energy_before_change += energy
-        if self._velocities_lag:
+        features = self.plan.features
+        if self._velocities_lag and (features.external_forces or features.damping != "none"):
+            if self._first_unshifted_id is None:
+                self._first_unshifted_id = first_id
+        elif self._velocities_lag:
             velocity_gain = mobility_mask(arrays)[:, None] * (
                 0.5 * self.time_step * present_gravity(self.state)
             )
@@ -260,6 +267,7 @@ class Engine:
             state.clock.change(time_step)
         self.accounting = self._new_accounting()
         self._velocities_lag = False
+        self._first_unshifted_id = None
         self.energy_before_change = None
         self._stopping_change = None
         self.insert(new)
@@ -382,6 +390,9 @@ class Engine:
         if not self._velocities_lag and not self.aborted:
             self._velocities_lag = True
             self._kick(-0.5 * self.time_step)
+        elif self._first_unshifted_id is not None and not self.aborted:
+            self._kick(-0.5 * self.time_step, self._first_unshifted_id)
+        self._first_unshifted_id = None
         self._update_time_step()
 
     # Time steps.
@@ -434,10 +445,11 @@ class Engine:
             self.state.clock.change(step)
             self.stepper.poses.discard()
 
-    def _kick(self, time: float) -> None:
-        """Change the velocities by the present forces during `time` [s]; backwards if negative."""
+    def _kick(self, time: float, first_id: int = 0) -> None:
+        """Change the velocities of particles with ids from `first_id` on by the present forces during `time`
+        [s]; backwards if negative."""
         pose = self.stepper.poses.index_at(self.step_count)
-        self.state.built(build_kick)(self.state.count, time, pose)
+        self.state.built(build_kick)(self.state.count, time, pose, first_id)
 
     # Energies and snapshots.
 

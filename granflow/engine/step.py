@@ -693,16 +693,17 @@ class GpuStep:
 
 
 def build_kick(state: State) -> Callable[..., None]:
-    """Kernel (count, time [s], pose): change velocities by the present forces; backwards if the time is
-    negative.
+    """Kernel (count, time [s], pose, first_id): change velocities by the present forces; backwards if the
+    time is negative.
 
         v += time F / m,   w += time M / I,   I = (2/5) m R^2
 
     The start of a run shifts all velocities back by half a step, a change of the time step by half of the
-    difference. Fixed particles keep their velocity; of clumps the state changes, not yet the velocities of
-    the spheres. `pose` is the index of the poses at the present time.
+    difference, an insertion those of the particles with ids from `first_id` on. Fixed particles keep their
+    velocity; of clumps the state changes, not yet the velocities of the spheres. `pose` is the index of the
+    poses at the present time.
 
-    Reads:   force, torque, mass, radius, fixed, clump; as `ClumpMotion`
+    Reads:   id, force, torque, mass, radius, fixed, clump; as `ClumpMotion`
     Writes:  velocity, angular_velocity; clump_velocity, clump_angular_momentum
     """
     particles = state.particles
@@ -712,8 +713,10 @@ def build_kick(state: State) -> Callable[..., None]:
     clump_motion = state.built(ClumpMotion)
 
     @ti.kernel
-    def kick(count: ti.i32, time: real, pose: ti.i32):
+    def kick(count: ti.i32, time: real, pose: ti.i32, first_id: ti.i32):
         for i in range(count):
+            if particles.id[i] < first_id:
+                continue
             if ti.static(clumps):
                 if clump_motion.moves(i):
                     clump_motion.kick(i, time, pose)

@@ -184,9 +184,9 @@ class RankEngine(Engine):
         """Raise GranflowError: the root has a part of the particles only."""
         raise GranflowError(NO_CHANGES)
 
-    def _kick(self, time: float) -> None:
+    def _kick(self, time: float, first_id: int = 0) -> None:
         """As `Engine`, also for the ghosts."""
-        super()._kick(time)
+        super()._kick(time, first_id)
         self.stepper.update_ghosts()
 
     @property
