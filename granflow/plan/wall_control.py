@@ -7,6 +7,7 @@ follow from the stiffness and viscosity of such a layer, and from the time step.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations, product
 from math import sqrt
 
 import numpy as np
@@ -18,6 +19,7 @@ from granflow.geometry.periodic_box import AXES
 from granflow.geometry.vectors import are_perpendicular, is_parallel
 from granflow.load import Scene
 from granflow.plan.pair_case import PairCase
+from granflow.plan.stages import StageTimes, nominal_times
 from granflow.plan.walls import PlannedWall
 from granflow.scene.blocks.domain import Domain
 from granflow.scene.blocks.metrics import SolidFractionMetric, across
@@ -99,7 +101,7 @@ def controlled_motions_of(
     `velocity` [m/s]: maximum expected impact velocity, at which `law` gives the stiffness of `pair_cases`;
     `step` [s].
 
-    Raises SceneError for a motion that is unstable with the step.
+    Raises SceneError for a motion that is unstable with the step, and for two at the same time.
     """
     controlled_motions = []
     for index, wall in enumerate(walls):
@@ -119,7 +121,34 @@ def controlled_motions_of(
                 controlled_motions.append(
                     ControlledMotion(index, number, wall.name, motion, numbers, source, between)
                 )
+    _refuse_two_at_once(scene, controlled_motions)
     return tuple(controlled_motions)
+
+
+def _refuse_two_at_once(scene: Scene, motions: Sequence[ControlledMotion]) -> None:
+    """Raise SceneError if two motions that are not perpendicular move a wall at the same time.
+
+    Each would move it by the whole force, with the sum of their velocities.
+    """
+    times = nominal_times(scene.schedule)
+    for first, second in combinations(motions, 2):
+        if first.wall != second.wall or are_perpendicular(first.direction, second.direction):
+            continue
+        spans = product(_spans(first.spec, times), _spans(second.spec, times))
+        if any(max(a[0], b[0]) < min(a[1], b[1]) for a, b in spans):
+            location = scene.locate("walls", second.name, "motion", second.motion)
+            raise SceneError(
+                f"{location}: {second.key} and motion.{first.motion} move the wall at the same time along "
+                "directions that are not perpendicular, but forces act on one motion at a time: give them "
+                "different stages or times, or keep one of them."
+            )
+
+
+def _spans(motion: ForceControlledMotion, times: StageTimes) -> list[tuple[float, float]]:
+    """Start and end [s] of the times in which a motion is active."""
+    if motion.stages is None:
+        return [(motion.start_time, motion.end_time)]
+    return [times[name] for name in motion.stages]
 
 
 def _section_between(scene: Scene, walls: Sequence[PlannedWall], index: int, number: int) -> Section | None:

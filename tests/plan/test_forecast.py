@@ -9,6 +9,7 @@ from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow import load_scene
 from granflow.cli.run import scene_paths
+from granflow.errors import SceneError
 from granflow.plan.build import plan_for
 from granflow.plan.overlaps import impact_overlap, impact_velocity, touching_pairs
 from granflow.plan.walls import surface_speed
@@ -236,12 +237,21 @@ def test_particles_attached_to_a_rotating_wall_count_in_its_speed():
         assert low * (1 - 1e-9) <= speed <= high * (1 + 1e-9)
 
 
-def test_servos_of_different_stages_do_not_add_their_speeds():
+def test_servos_of_one_wall_need_different_stages_or_perpendicular_directions():
     stages = [{"name": name, "duration": 0.1} for name in ("seat", "press")]
-    for seat, press, speed in (({"stages": ["seat"]}, {"stages": ["press"]}, 0.3), ({}, {}, 0.4)):
-        slow = {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1} | seat
-        walls = lid(before=[slow], velocity_max=0.3, **press)
-        assert speed_of_walls(bed(walls=walls, stages=stages, run={"duration": None})) == pytest.approx(speed)
+
+    def scene_with(**more):
+        walls = lid(before=[{"kind": "servo", "force": 1.0, "velocity_max": 0.1} | more], velocity_max=0.3)
+        walls["lid"]["motion"][1]["stages"] = ["press"]
+        return bed(walls=walls, stages=stages, run={"duration": None})
+
+    assert speed_of_walls(scene_with(direction=[0, 0, -1], stages=["seat"])) == pytest.approx(0.3)
+    assert speed_of_walls(scene_with(direction=[1, 0, 0])) == pytest.approx(0.4)
+    # The stage press lasts from 0.1 to 0.2 s.
+    plan_for(scene_with(direction=[0, 0, -1], end=0.1))
+    for more in ({"direction": [0, 0, 1]}, {"direction": [0, 1, 1], "end": 0.11}):
+        with pytest.raises(SceneError, match="motion.1 and motion.0 move the wall at the same time"):
+            plan_for(scene_with(**more))
 
 
 FLOOR = plane([0, 0, 0.1], [0, 0, 1])
