@@ -91,11 +91,26 @@ def _delete_points(
     if chosen is None:
         entry.impossible(f"delete_atoms {style} before the first run", "a region, or a group of one")
         return
+    kept = _stored(chosen)
     for name in POINT_ARRAYS:
-        setattr(points, name, getattr(points, name)[~chosen])
-    points.members = {name: None if mask is None else mask[~chosen] for name, mask in points.members.items()}
-    points.id = np.argsort(np.argsort(points.id)) + 1  # compress yes, the default
+        setattr(points, name, getattr(points, name)[kept])
+    points.members = {name: None if mask is None else mask[kept] for name, mask in points.members.items()}
+    if not words.rest_has("compress", "no"):
+        points.id = np.arange(len(kept)) + 1
     entry.translated("particles")
+
+
+def _stored(deleted: np.ndarray) -> np.ndarray:
+    """Indices of the particles that remain, in the order of the code: the last one fills each gap."""
+    order = list(range(len(deleted)))
+    i = 0
+    while i < len(order):
+        if deleted[order[i]]:
+            order[i] = order[-1]
+            order.pop()
+        else:
+            i += 1
+    return np.array(order, int)
 
 
 def _too_near(points: Points, distance: float, first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -469,6 +469,9 @@ def test_particles_of_a_file(tmp_path):
     assert scene["domain"]["max"] == ["1 m", "1 m", "2 m"]
 
 
+THIRD = "create_atoms 1 single 0.05 0.05 0.08\nset atom 3 diameter 0.004 density 2500"
+
+
 @pytest.mark.parametrize(
     ("commands", "moved"),
     [
@@ -479,8 +482,11 @@ def test_particles_of_a_file(tmp_path):
         ("group a id 1:2:2", [1]),
         ("group a type > 1", [2]),
         ("variable up atom z>0.015\ngroup a variable up", [2]),
-        ("create_atoms 1 single 0.05 0.05 0.08\nset atom 3 diameter 0.004 density 2500\ngroup a subtract all two", [1, 3]),
+        (f"{THIRD}\ngroup a subtract all two", [1, 3]),
         ("group a type 1\ndelete_atoms group two", [1]),
+        # The last particle, here the third, fills the gap and has its id, unless ids are kept.
+        (f"{THIRD}\ndelete_atoms group one\ngroup a id 1", [1]),
+        (f"{THIRD}\ndelete_atoms group one compress no\ngroup a id 2", [2]),
     ],
 )  # fmt: skip
 def test_groups_have_the_particles_of_their_command(tmp_path, commands, moved):
