@@ -222,8 +222,8 @@ class LiveParticles:
 
     @property
     def angular_velocity(self) -> ParticleArray:
-        """Angular velocities (n, 3) [rad/s]; zero and read-only in a scene without friction and rolling
-        friction."""
+        """Angular velocities (n, 3) [rad/s]; zero and read-only in a scene without torques (every pair has
+        friction and rolling friction 0) whose groups have no initial angular velocity."""
         has_rotation = self._engine.plan.features.rotation
         write = self._write_angular_velocity if has_rotation else None
         return ParticleArray(self, "angular_velocity", self._angular_velocity, write)
@@ -604,6 +604,11 @@ def particle_data(
     if chosen.spec.fixed and (velocity.any() or angular_velocity.any()):
         raise GranflowError(
             f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity."
+        )
+    if angular_velocity.any() and not plan.features.rotation:
+        raise GranflowError(
+            "angular_velocity is not 0, but the particles of this scene do not rotate, because every pair "
+            "has friction and rolling friction 0: leave it out, or give a pair friction."
         )
     return ParticleData(
         position=position,

@@ -145,15 +145,18 @@ def _rows(
     clumps = [name for name, group in groups.items() if group.shape.body is not None]
     rotating = any(group.shape.rotates for group in groups.values())
     has_torques = any(SLOTS[slot].on_surface for slot in models)
+    spinning = [name for name, group in groups.items() if group.initial_rotation_rate > 0.0]
     if rotating:
         why = "required by clumps"
     elif has_torques:
         why = "required by friction, rolling friction or twisting friction"
     elif laws.has_viscous_cohesion:
         why = "required by the viscous force of the cohesion model"
+    elif spinning:
+        why = f"particles.{spinning[0]} has an initial angular velocity ({where('particles', spinning[0])})"
     else:
         why = "no torques: every pair has friction and rolling friction 0"
-    yield "rotation", rotating or has_torques or laws.has_viscous_cohesion, why
+    yield "rotation", rotating or has_torques or laws.has_viscous_cohesion or bool(spinning), why
     yield "rate_dependent", laws.normal.rate_dependent, _rate_reason(scene, laws.normal.rate_dependent)
     cohesion = models["cohesion"].name if "cohesion" in models else "none"
     yield _model_row(scene, models, "cohesion")

@@ -215,8 +215,21 @@ def test_particles_without_constants_of_their_contact_are_refused(taichi_f64):
         particles.add([0.1, 0.0, 0.0])
         with pytest.raises(gf.GranflowError, match="no pair glass-glass"):
             particles.add([0.2, 0.0, 0.0])
+        with pytest.raises(gf.GranflowError, match="angular_velocity is not 0, but"):
+            particles.add([0.2, 0.0, 0.0], angular_velocity=[0.0, 0.0, 1.0])
         simulation.step()
         np.testing.assert_allclose(particles.position, [[0.1, 0.0, 0.0]])
+
+
+def test_particles_without_torques_keep_their_angular_velocity(taichi_f64):
+    """They have no friction, so that nothing changes it; its energy is 0.5 * 0.4 m r^2 w^2."""
+    ball = particle_group([[0.0] * 3], angular_velocity=[1.0, 2.0, -2.0])
+    with gf.Simulation(gf.Scene.from_dict(flying().to_dict() | {"particles": {"ball": ball}})) as simulation:
+        simulation.step(3)
+        np.testing.assert_array_equal(simulation.particles.angular_velocity, [[1.0, 2.0, -2.0]])
+        totals = simulation.snapshot().totals
+        energy = 0.2 * simulation.particles.mass[0] * 0.005**2 * 9.0
+        assert totals["rotational_energy"] == pytest.approx(energy) and abs(totals["energy_error"]) < 1e-9
 
 
 def test_snapshot_and_forces_before_the_first_step_contain_the_contacts(taichi_f64):
