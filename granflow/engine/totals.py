@@ -318,7 +318,8 @@ def energy_budget_totals(
     removed = accounting.removed_energy - accounting.inserted_energy
     residual = present_energy + dissipated + removed - sum(works)
     rounding = ROUNDING[state.backend.precision] * (abs(energies[2]) + abs(removed))
-    energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
+    potential = energies[2] + min(measured["elastic_energy"], 0.0)
+    energy_put_in = max(accounting.energy_put_in, energy_input(accounting, potential, works))
     scale = max(energy_put_in, rounding / LARGEST_ERROR)
     return {
         "gravitational_energy": energies[2],
@@ -378,11 +379,12 @@ def _squares(vectors: np.ndarray) -> np.ndarray:
 
 
 def energy_input(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:
-    """Energy input [J] by gravity, initial motion, insertion, walls and periodic images.
+    """Energy input [J] by gravity, attraction, initial motion, insertion, walls and periodic images.
 
         E_in = max(E_inserted - U - U_deleted, 0) + sum of max(W, 0)
 
-    potential:  U [J], potential energy of the present particles
+    potential:  U [J], potential energy of the present particles, with the energy of attraction (the energy
+                of contacts if it is negative), which particles can gain as that of gravity
     works:      W [J], work of the walls, of the images of a sheared box, and of external and changing forces
 
     E_inserted is the mechanical energy of inserted particles, U_deleted the potential energy of deleted
@@ -797,7 +799,8 @@ class StabilityMonitor:
             for name in ("wall_work", "boundary_work", "external_work", "gravity_work")
             if name in totals
         )
-        accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
+        potential = energies[2] + min(totals.get("elastic_energy", 0.0), 0.0)
+        accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, potential, works))
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
         earlier = self._above_since
         self._above_since = None if not abs(share) > LARGEST_ERROR else time if earlier is None else earlier

@@ -96,6 +96,31 @@ def test_the_error_of_a_bounce_refers_to_the_largest_energy_input(taichi_f64):
         assert abs(last.totals["energy_error"]) < 1e-4
 
 
+def test_the_error_of_attracted_spheres_refers_to_the_energy_of_attraction(taichi_f64):
+    """Two spheres at rest at the distance s0 fall together and stick: their attraction supplies
+
+        A R (1 / s0 - 1 / (2 s0)) / 6 + (1 - 2/5) F d        F = A R / (6 s0^2) = k d^1.5
+
+    until they rest at the overlap d of Hertz. They have no other energy, and that of their contact at the
+    start is negative.
+    """
+    hamaker, separation, radius_eff = 1.6e-9, 1e-5, 0.0025
+    pair = {"restitution": 0.5, "hamaker_constant": hamaker, "separation": separation}
+    contact = {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": "van_der_waals"}
+    scene = build_scene(
+        {"balls": particle_group([[0.0] * 3, [0.01 + separation, 0.0, 0.0]])}, pair=pair, contact=contact,
+        output={"interval": 1.0, "energy_budget": True}, run={"duration": 0.05, "velocity_max": 0.02},
+    )  # fmt: skip
+    with Simulation(scene, observers=[on_interval(1e-3, lambda snapshot: None)]) as simulation:
+        simulation.run()
+        force = hamaker * radius_eff / (6.0 * separation**2)
+        k = 4 / 3 * 1e8 / (2 * (1 - 0.25**2)) * np.sqrt(radius_eff)
+        supplied = 0.5 * force * separation + 0.6 * force * (force / k) ** (2 / 3)
+        assert simulation.engine.accounting.energy_put_in == pytest.approx(supplied, rel=1e-3)
+        assert abs(simulation.snapshot().totals["energy_error"]) < 2e-3
+        assert not simulation.engine.stability_monitor.warnings
+
+
 def test_velocity_too_high_for_the_step_causes_a_warning_with_the_required_step(taichi_f64):
     """A particle exceeds the planned velocity; required: 2 sqrt(M/K) for an impact on an equal particle."""
     step = 4e-4
