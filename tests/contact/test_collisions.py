@@ -170,6 +170,12 @@ def test_restitution_below_the_smallest_one_is_the_smallest_one(taichi_f64):
         assert np.abs(collisions(BY_NAME[WITHOUT_REBOUND], steps)[0]).max() <= 1e-14
 
 
+def test_a_strong_linear_dashpot_does_not_reverse_the_motion_in_its_first_step(taichi_f64):
+    """The kick of the first step is up to 1.5 times 2 zeta w dt, at 44 steps per collision 1.5 times 1."""
+    rebound = collisions(replace(BY_NAME["linear_onset"], restitution=0.005), 44)[0]
+    assert 0.0 <= rebound.min() and rebound.max() <= 1.1 * 0.005
+
+
 @pytest.mark.parametrize("case", [case for case in PLAIN if case in CONTINUOUS], ids=str)
 def test_unloading_stiffness_equals_the_steepest_chord(taichi_f64, case):
     """The steepest chord of the elastic force near the maximum overlap of a collision; it determines the time

@@ -258,12 +258,16 @@ class Linear(SpringLaw):
     def force(self, constants, contact, history):
         """F = max(K d + 2 zeta sqrt(K M) d', 0); K is constant from first contact on.
 
-        In the first step the dashpot acts for the time since first contact only.
+        In the first step the dashpot acts for the time since first contact only, which can be 1.5 steps: a
+        strong one then stops the bodies at most.
         """
         stiffness = self.stiffness_of(constants, contact, history)
         elastic = stiffness * contact.overlap
         _overlap_at, share = _step_mean(contact.overlap, contact.overlap_rate, contact.time_step)
-        damping = 2.0 * constants.damping_ratio * share * ti.sqrt(stiffness * contact.mass_eff)
+        damping = ti.min(
+            2.0 * constants.damping_ratio * share * ti.sqrt(stiffness * contact.mass_eff),
+            contact.mass_eff / contact.time_step,
+        )
         viscous = ti.max(damping * contact.overlap_rate, -elastic)
         return elastic + viscous, viscous, history
 
@@ -286,6 +290,7 @@ class Linear(SpringLaw):
             * contact.overlap_rate
         )
         viscous = 2.0 * contact.constants.damping_ratio * np.sqrt(stiffness * contact.mass_eff) * rate
+        viscous = min(viscous, contact.mass_eff / contact.time_step * abs(contact.overlap_rate))
         return float(max(stiffness * contact.overlap + viscous, 0.0)), history
 
     def phase_durations(
