@@ -423,8 +423,10 @@ def _lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) 
 # Values of single keys.
 
 SLOW = 0.1
-"""Given velocity over that of a fall, a wall or a particle below which a unit is probably wrong: packed
-particles fall less."""
+"""Given velocity over that of a fall below which a unit is probably wrong: packed particles fall less."""
+SLIDING = 0.01
+"""Given velocity over that of a wall or a particle below which a unit is probably wrong: bodies that slide or
+roll along each other, or fall onto a fast belt, move much faster than they approach."""
 OVERLAP_TOLERANCE = 1.5
 """Overlap of a file over the forecast one above which a warning appears."""
 FILE_ROUNDING = 1e-3
@@ -574,7 +576,7 @@ def value_rows(
             f" is {given:.3g} m/s, but {name} moves at up to {speeds[name]:.3g} m/s: time step and forecasts "
             f"are those of slower impacts. Check the unit, or set it to {speeds[name]:.2g} m/s."
         )
-        yield ("run", "velocity_max"), given < SLOW * speeds[name], text
+        yield ("run", "velocity_max"), given < SLIDING * speeds[name], text
 
     for path, interval in _output_intervals(scene):
         text = (
