@@ -585,7 +585,7 @@ class Amount:
         self.fix.entry.approximated(
             f"particles appear at the face at a constant rate; the script has them up to "
             f"{lasting * speed:.3g} m before it, where they move with constant velocity, so that its counts "
-            f"include up to {self._batch(every):.0f} particles before the face"
+            f"include up to {self._batch(every) / self.share:.0f} particles before the face"
             + (f", and a batch passes in {lasting:.3g} s of every {every:.3g} s" if lasting < every else "")
         )
         box = np.array(deck.box or (-inf, inf) * 3).reshape(3, 2)
@@ -681,6 +681,7 @@ class Amount:
         extent = extent_of(deck, given.region)
         gravity = gravity_at(deck, deck.acting(fix)[0])
         leaving = _travel(gravity, given.velocity, every, extent)
+        refills: list[float]
         if has_floor(deck, deck.acting(fix), extent, gravity, 2.0 * self.mean_radius):
             refills = self._refills_above_floor(count, target * self.share, leaving, batches, extent, gravity)
             numbers = ", ".join(map(str, refills)) or "none"
@@ -689,14 +690,17 @@ class Amount:
                 f"stay above the floor of the region, until {round(target * self.share)} are in it"
             )
         else:
-            refills = [max(1, round(count * leaving))] * batches
+            refills = self._refills_in_fall(count, every, batches, extent, gravity)
             if leaving < 1.0:
+                numbers = ", ".join(f"{each / self.share:.0f}" for each in refills[:MOST_BATCHES])
                 fix.entry.approximated(
-                    f"a refill of the region every {every:g} s is {refills[0]} of {round(count)} particles: "
-                    "those that leave it in this time by free fall"
+                    f"refills of the region every {every:g} s are {numbers} of {count / self.share:.0f} "
+                    "particles: those that have left it by free fall since the one before"
                 )
         if len(refills) <= MOST_BATCHES:
-            for k, refill in enumerate(refills, 1):
+            for k, refill in enumerate(map(round, refills), 1):
+                if not refill:
+                    continue
                 times = {"rate": refill / (BURST * every), "start": start + k * every}
                 rain = self._rain(region, **times)
                 rain["end"] = quantity(
@@ -706,15 +710,33 @@ class Amount:
             if refills:
                 fix.entry.approximated(f"a refill takes {BURST * every:.2g} s, not one step")
             return parts
-        batches, refill = len(refills), round(sum(refills) / len(refills))
+        batches, total = len(refills), sum(refills)
         # Constant flow, in which a refill is spread over the interval around its time.
         first_time, last_time = start + 0.5 * every, start + (batches + 0.5) * every
-        times = {"rate": refill / every, "start": first_time}
+        times = {"rate": total / (batches * every), "start": first_time}
         rain = self._rain(region, **times)
         if last_time < deck.end:
             rain["end"] = quantity(last_time, "time")
         fix.entry.approximated(f"{batches} refills every {every:g} s are a constant rate")
-        return [*parts, ("_refill", {"count": refill * batches}, rain)]
+        return [*parts, ("_refill", {"count": max(1, round(total))}, rain)]
+
+    def _refills_in_fall(
+        self, first: float, every: float, batches: int, extent: tuple[float, ...], gravity: Vector
+    ) -> list[float]:
+        """Mean numbers of particles of the refills of a region that particles leave by free fall.
+
+        A refill replaces those of all batches before that have left since the last one:
+
+            n_k = sum_j n_j (F(k - j) - F(k - j - 1)),      F(i): share that leaves a region in i intervals
+        """
+        left = [0.0]
+        while left[-1] < 1.0 and len(left) <= batches:
+            left.append(max(left[-1], _travel(gravity, self.given.velocity, len(left) * every, extent)))
+        from scipy.signal import lfilter  # its import takes a second, and few scripts refill a region
+
+        at_start = np.eye(1, batches + 1)[0]
+        counts: list[float] = lfilter([first], [1.0, *-np.diff(left)], at_start).tolist()
+        return counts[1:]
 
     def _refills_above_floor(
         self,
@@ -724,7 +746,7 @@ class Amount:
         batches: int,
         extent: tuple[float, ...],
         gravity: Vector,
-    ) -> list[int]:
+    ) -> list[float]:
         """Numbers of particles of the refills of a region that is closed below, until it has `target`.
 
         Random insertion fills what is above the particles at rest, whose side has no OVERHANG, and at most
@@ -739,7 +761,7 @@ class Amount:
         diameter = 2.0 * self.mean_radius
         overhang = OVERHANG * diameter
         inner = height - diameter * self.given.all_in
-        present, refills = float(round(first)), []
+        present, refills = float(round(first)), list[float]()
         for _ in range(batches):
             filled = height * present * volume / AT_REST
             free = max(0.0, (inner - filled + 0.5 * overhang) / (inner + overhang))
