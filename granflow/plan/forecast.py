@@ -504,6 +504,10 @@ def value_rows(
             "rad/s: write 30 rpm or 180 deg/s."
         )
         yield ("walls", turning.name, "motion"), speed > FASTEST_SURFACE, text
+    for path, motion in _wall_motions(scene):
+        limit = getattr(motion, "velocity_max", 0.0)
+        text = f" is {limit:.4g} m/s, faster than presses and lids move. Write 100 mm/s with the unit."
+        yield (*path, "velocity_max"), limit > FASTEST_SURFACE, text
     for path, angle in _angles(scene):
         text = f" is {angle:.4g} rad, more than a full turn: angles are in rad. Write 90 deg with the unit."
         yield path, abs(angle) > FULL_TURN, text

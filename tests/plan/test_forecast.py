@@ -176,6 +176,7 @@ WIDE = {"lid": lid()["lid"] | {"sides": [[0.048, 0, 0], [0, 0.024, 0]]}}
     # A lid that rises by 45 degrees covers 0.707 of its area across the direction.
     ("10 kPa times the area of all faces of the wall, 0.000815 m2, is 8.15 N, but the wall covers only 0.000576 m2",
      bed(walls=STEEP), bed(walls=lid())),
+    ("motion.0.velocity_max .* is 100 m/s, faster than presses", bed(walls=lid(velocity_max=100.0)), bed(walls=lid())),
     # The lid moves 10 mm in 0.1 s.
     (f"the bed is about {DISTANCE:.3g} m away.*Set velocity_max to 0.7[0-9]* m/s",
      bed(walls=lid(1e5, velocity_max=0.1)), bed(walls=lid(1e5, velocity_max=0.77))),
