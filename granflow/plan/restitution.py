@@ -120,13 +120,17 @@ def pairings(plan: Plan) -> list[Collision]:
     """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii
     [m].
 
-    The collisions have no velocity yet.
+    Fixed particles count only for a material without mobile ones: a mobile particle hits one of infinite mass
+    for longer than its like. The collisions have no velocity yet.
     """
     scene = plan.scene
+    groups = scene.particles.values()
+    mobile = {group.material for group in groups if not group.fixed}
     smallest: dict[str, float] = {}
-    for name, group in scene.particles.items():
-        radius = 0.5 * plan.scene.particles[name].diameters[0]
-        smallest[group.material] = min(radius, smallest.get(group.material, radius))
+    for group in groups:
+        if not group.fixed or group.material not in mobile:
+            radius = 0.5 * group.diameters[0]
+            smallest[group.material] = min(radius, smallest.get(group.material, radius))
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     spheres = [(a, b, smallest[b]) for a, b in combinations_with_replacement(smallest, 2)]
     combinations = [*spheres, *((a, b, None) for a in smallest for b in walls)]

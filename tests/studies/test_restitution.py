@@ -30,6 +30,7 @@ def two_materials():
         "fine": particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], 0.004, "steel"),
         "coarse": particle_group([[0.1, 0.0, 0.2]], 0.01, "steel"),
         "beads": particle_group([[0.2, 0.0, 0.2]], 0.006, "glass"),
+        "rough": particle_group([[0.3, 0.0, 0.2]], 0.001, "steel") | {"fixed": True},
     }
     return build_scene(
         groups, walls={"floor": plane([0, 0, 0], [0, 0, 1], "steel")},
@@ -51,7 +52,7 @@ def coarse_hertz(fraction=0.3):
 
 def test_small_time_steps_reach_the_given_restitution(taichi_f64):
     """Eq. 12 from sigma and psi, or the constant of a pair; within 0.1 % over three decades of velocity. Each
-    possible pair of materials collides with its smallest radii."""
+    possible pair of materials collides with its smallest radii of mobile particles."""
     scene = two_materials()
     found = {(name_of(each), each.radius, each.other_radius) for each in pairings(plan_for(scene))}
     assert found == {
