@@ -97,7 +97,7 @@ def check_host(folder, scenes, kind):
     execute_on_host(folder, scenes, kind)
     for scene in scenes:
         found = loaded(folder / "one" / scene)
-        assert found["rebuilds"] >= 3 and found["totals.contact_count"] >= 3
+        assert found["rebuilds"] >= 3 and found["totals.contact_count"] >= 1  # one at a time in a gas
         assert all(found[f"totals.{name}"] != 0.0 for name in SCENES[scene].effects), scene
         _one, *others = host_executions(scene, kind == "usual")
         assert_same_bits(folder, scene, others)

@@ -99,10 +99,16 @@ def _pull_off(name: str, samples: np.ndarray) -> float:
     """
     overlap, _, force = samples.T
     if name == "jkr":
-        return float(-force.min())
+        return float(-force[whole_steps(force != 0.0)].min())
     k = float(theory.hertz_stiffness(MODULUS, RADIUS / 2.0))
-    touches = overlap > 0.0
+    touches = whole_steps(overlap > 0.0)
     return float(np.mean(k * overlap[touches] ** 1.5 - force[touches]))
+
+
+def whole_steps(acts: np.ndarray) -> np.ndarray:
+    """The steps (s,) of an attraction without its first and last, in which it acts for a share of the step."""
+    (found,) = np.nonzero(acts)
+    return found[1:-1]
 
 
 def _rebound_case(speed: float, value: float, impulse: float) -> ValidationCase:

@@ -16,6 +16,7 @@ import numpy as np
 
 from granflow import Scene, Simulation
 from granflow.geometry.sphere import sphere_volume
+from validation.adhesion import whole_steps
 from validation.case import ValidationCase
 from validation.collisions import FRACTION, STEP_ERROR, STEP_REASON
 from validation.theory_of_collisions import Pair, Partner, collide, signed_power
@@ -220,7 +221,7 @@ def force_cases(
     """Attraction besides the Hertz force during overlap, and its sum over that of the formula after
     separation."""
     overlap, rate, force = samples.T
-    touches = overlap > 0.0
+    touches = whole_steps(overlap > 0.0)
     separated = (rate < 0.0) & (-overlap > DISTANT[0] * reach) & (-overlap < DISTANT[1] * reach)
     in_contact = float(np.mean(PAIR.k * overlap[touches] ** 1.5 - force[touches]))
     ratio = float(np.sum(-force[separated]) / np.sum(attraction(-overlap[separated])))
