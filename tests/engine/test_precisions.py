@@ -35,17 +35,18 @@ def messages_about_the_limit(precision, chunk_size):
 
 
 def drifting_rod():
-    """Distance of a rod at 1 m/s from its position at the start [m], simulated time, number of rebuilds."""
+    """Way [m] of a rod that starts at 1 m/s and falls at 1 m/s2, height [m], simulated time, number of rebuilds."""
     scene = build_scene(
         {"rod": clump_group([[0.1, 0.0, 0.0]], velocity=[[1.0, 0.0, 0.0]])},
         run={"duration": 1.0, "velocity_max": 1.0, "time_step": 2.0**-16, "precision": "mixed"},
-        domain={"min": [-1.0] * 3, "max": [2.0] * 3, "on_exit": "error"},
-    )
+        domain={"min": [-1.0] * 3, "max": [2.0] * 3, "on_exit": "error"}, gravity=[0.0, 0.0, -1.0],
+    )  # fmt: skip
     with Simulation(scene, threads=1) as simulation:
         simulation.step(3 * 2**12 + 1)
         last = simulation.snapshot()
         rebuilds = simulation.engine.timing.rebuild_count
-    return last.particles["clump_position"][0, 0] - 0.1, last.time, rebuilds
+    x, _, z = last.particles["clump_position"][0].tolist()
+    return x - 0.1, z, last.time, rebuilds
 
 
 def kinds_of_warnings_at_rest(precision, **parts):
@@ -55,6 +56,28 @@ def kinds_of_warnings_at_rest(precision, **parts):
     run = {"duration": 1e-3, "velocity_max": 1.0, "precision": precision}
     parts |= {"run": run, "numerics": {"chunk_size": 16}}
     return list(warnings_of(build_scene({"beads": beads}, gravity=[0.0, 0.0, -9.81], **parts)))
+
+
+def bounced_layer(precision):
+    """Upward velocities [m/s] of a layer of elastic beads in two chunks that met a floor at 0.5 m/s, and the
+    ways [m] since they left it."""
+    beads = particle_group(
+        [[0.02 * (k % 5), 0.02 * (k // 5), 0.0051] for k in range(20)], velocity=[0.0, 0.0, -0.5]
+    )
+    floor = {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "glass"}
+    run = {"duration": 4e-3, "velocity_max": 1.0, "precision": precision}
+    scene = build_scene(
+        {"beads": beads},
+        {"floor": floor},
+        {"restitution": 1.0},
+        normal="hertz",
+        run=run,
+        numerics={"chunk_size": 16},
+    )
+    with Simulation(scene) as simulation:
+        simulation.run()
+        particles = simulation.snapshot().particles
+    return particles["velocity"][:, 2].tolist(), (particles["position"][:, 2] - 0.005).tolist()
 
 
 def pressure_of_a_servo():
@@ -90,7 +113,7 @@ def runs():
     """Results in mixed precision, and in single precision, the last two of them on the code path of a GPU."""
     mixed = (
         messages_about_the_limit("mixed", 16), kinds_of_warnings_at_rest("mixed"), drifting_rod(),
-        pressure_of_a_servo(), pressures_of_a_box("mixed"),
+        pressure_of_a_servo(), pressures_of_a_box("mixed"), bounced_layer("mixed"),
     )  # fmt: skip
     expanding = {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "expand"}  # the structure of `flight`
     single = kinds_of_warnings_at_rest("f32", domain=expanding), flight(8186.0), flight(8191.0)
@@ -102,12 +125,15 @@ def test_mixed_precision_and_single_precision_on_the_code_path_of_a_gpu():
     """The rod moves by 2^-16 m per step, which f64 adds without error; f32 resolves 0.1 m to 7.5e-9 m and 0.03 m to
     1.9e-9 m, of which an overlap of 40 um is a sum of two."""
     mixed, single = in_subprocess(runs)
-    (below, above), warnings, (distance, time, rebuilds), pressure, box = mixed
+    (below, above), warnings, (distance, height, time, rebuilds), pressure, box, (rebound, way) = mixed
     assert below == "" and "moves 0.001 m in one step" in above
     assert warnings == [], "rounding of potential energies is no error"
     assert rebuilds > 10 and distance == pytest.approx(time, abs=1e-12)
+    assert height == pytest.approx(-0.5 * time**2, rel=1e-6)
     assert pressure == pytest.approx(PRESSURE, rel=0.01)
     np.testing.assert_allclose(*box, rtol=1e-5)
+    np.testing.assert_allclose(rebound, 0.5, rtol=1e-4)
+    assert min(way) > 0.0 and max(way) - min(way) < 1e-9
     warnings, near, far, (below, above), box = single
     np.testing.assert_allclose(*box, rtol=1.5 * 2.0 * 1.9e-9 / 4e-5)
     assert warnings == [] and near == "" and below == ""
