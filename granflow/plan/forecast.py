@@ -35,7 +35,7 @@ from granflow.plan.overlaps import (
 from granflow.plan.plan import Forecast, Plan
 from granflow.plan.stages import StageTimes, nominal_times, spread_times
 from granflow.plan.time_step import ImpactVelocity
-from granflow.plan.wall_control import ControlledMotion
+from granflow.plan.wall_control import ControlledMotion, active_spans
 from granflow.plan.walls import PlannedWall, surface_speed, wall_speeds
 from granflow.scene.blocks.gravity import AnyGravity, ChangingGravity
 from granflow.scene.blocks.insertions import TimedInsertion
@@ -677,6 +677,11 @@ def _face_areas(surface: Surface) -> np.ndarray:
     1 for a plane."""
     if surface.plane is not None:
         return np.array([surface.plane[1]])
+    return _triangle_areas(surface)
+
+
+def _triangle_areas(surface: Surface) -> np.ndarray:
+    """Normals (k, 3) of the triangles of a wall at its initial pose; their length is the area [m2]."""
     points, corners = surface.triangles(np.zeros(3), 1.0)
     first, second, third = points[corners].transpose(1, 0, 2)
     return 0.5 * np.cross(second - first, third - first)
@@ -1000,11 +1005,9 @@ def _first_motions(plan: Plan, times: StageTimes) -> Iterator[tuple[str, Control
     end = max(end for _, end in times.values())
 
     def span(motion: ControlledMotion) -> tuple[float, float]:
-        given = plan.scene.walls[motion.name].motion[motion.motion]
-        if given.stages is not None:
-            return times[given.stages[0]][0], times[given.stages[-1]][1] - times[given.stages[0]][0]
-        start = given.start or 0.0
-        return start, max(min(end if given.end is None else given.end, end) - start, 0.0)
+        spans = active_spans(motion.spec, times)
+        start = spans[0][0]
+        return start, max(min(spans[-1][1], end) - start, 0.0)
 
     for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
         first = min((each for each in plan.controlled_motions if each.name == name), key=lambda m: span(m)[0])
@@ -1094,9 +1097,7 @@ def sideways_findings(plan: Plan) -> Iterator[Finding]:
     scene = plan.scene
     held = {group.attached_to for group in scene.particles.values()}
     for motion in plan.controlled_motions:
-        points, triangles = plan.walls[motion.wall].surface.triangles(np.zeros(3), 1.0)
-        corners = points[triangles]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = _triangle_areas(plan.walls[motion.wall].surface)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         given = scene.walls[motion.name].motion[motion.motion]
         if (

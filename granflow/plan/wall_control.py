@@ -134,7 +134,7 @@ def _refuse_two_at_once(scene: Scene, motions: Sequence[ControlledMotion]) -> No
     for first, second in combinations(motions, 2):
         if first.wall != second.wall or are_perpendicular(first.direction, second.direction):
             continue
-        spans = product(_spans(first.spec, times), _spans(second.spec, times))
+        spans = product(active_spans(first.spec, times), active_spans(second.spec, times))
         if any(max(a[0], b[0]) < min(a[1], b[1]) for a, b in spans):
             location = scene.locate("walls", second.name, "motion", second.motion)
             raise SceneError(
@@ -144,8 +144,8 @@ def _refuse_two_at_once(scene: Scene, motions: Sequence[ControlledMotion]) -> No
             )
 
 
-def _spans(motion: ForceControlledMotion, times: StageTimes) -> list[tuple[float, float]]:
-    """Start and end [s] of the times in which a motion is active."""
+def active_spans(motion: ForceControlledMotion, times: StageTimes) -> list[tuple[float, float]]:
+    """Start and end [s] of the times in which a motion is active, in their order; the end can be infinite."""
     if motion.stages is None:
         return [(motion.start_time, motion.end_time)]
     return [times[name] for name in motion.stages]
